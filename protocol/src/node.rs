@@ -221,10 +221,15 @@ impl Node {
     /// How long from [`now`](Self::now) until time alone makes this node act; `None`: it never does.
     #[must_use]
     pub fn time_left(&self) -> Option<Ticks> {
+        self.times_left().reduce(Ticks::min)
+    }
+
+    /// How long from [`now`](Self::now) until time alone makes each part of this node act that it makes act at all.
+    pub fn times_left(&self) -> impl Iterator<Item = Ticks> {
         let Parts { table: _, tasks, transit, timer } = &self.parts;
         let tasks = tasks.iter().map(|task| task.next_deadline() - task.now());
         let others = [transit.next_deadline() - transit.now(), timer.next_deadline() - timer.now()];
-        tasks.chain(others).filter(|&left| left != Ticks::FAR).min()
+        tasks.chain(others).filter(|&left| left != Ticks::FAR)
     }
 
     /// Sends the waiting packets, most urgent first, as far as the links take them (§5.2.3).

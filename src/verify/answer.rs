@@ -128,6 +128,8 @@ struct Searched<'a> {
     /// Independent parts of the cell, each searched by itself.
     parts: u32,
     states: u64,
+    /// How many of these stand for more times than can occur; no finding rests on such times.
+    hulls: u64,
     transitions: u64,
     /// The greatest distance of a state from the start, in choices. `whole_depth` is the depth up to which everything was
     /// explored.
@@ -292,6 +294,7 @@ impl Subject {
             },
             parts: phase.parts,
             states: phase.states,
+            hulls: phase.hulls,
             transitions: phase.moves,
             depth: phase.depth,
             whole_depth: phase.whole_depth,

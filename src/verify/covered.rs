@@ -38,8 +38,20 @@ fn share(phase: &Coverage) -> String {
     format!("{} of these states were looked at ({percent} %), and ", grouped(done))
 }
 
-/// Sentences that explain an unfinished search.
+/// Sentences that explain a search that stands for more times than can occur, or that is unfinished.
 pub(super) fn explained(subject: &Subject, plan: &CellPlan, phase: &Coverage) -> Vec<String> {
+    let mut said = unfinished(subject, plan, phase);
+    if phase.hulls > 0 {
+        said.push(format!(
+            "{} of these states stand for more times than can occur: no finding rests on that, but a statement may count as reached that is not",
+            grouped(phase.hulls)
+        ));
+    }
+    said
+}
+
+/// Sentences that explain an unfinished search.
+fn unfinished(subject: &Subject, plan: &CellPlan, phase: &Coverage) -> Vec<String> {
     let Some(left) = &phase.unfinished else { return Vec::new() };
     let (mut large, mut smaller): (Vec<String>, Vec<String>) = (Vec::new(), Vec::new());
     let alike = left.sampled.checked_div(left.apart_from_times).unwrap_or(0);

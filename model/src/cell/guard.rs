@@ -215,12 +215,7 @@ impl<'a> Walk<'a> {
         faults: &CellFaults,
         (kept, apart): (&'a Kept, Option<&'a Apart>),
     ) -> Self {
-        // The search omits the loss of a packet that no task would notice. The state that is kept instead may allow
-        // more moves than its fault budgets show: an unused cut allows what an open one does, and a packet that arrived
-        // at a node that is down may restart it.
-        let doubles = faults.dup > 0 || faults.reorder > 0;
-        let takes = faults.loss > 0 || !faults.cut.is_empty();
-        let unlisted = !faults.cut.is_empty() && doubles || takes && !faults.crash.is_empty();
+        let unlisted = faults.hide_covered_states();
         let own = Unpacked::new(plan, phase, faults);
         let twin = own.clone().without_history();
         Self { twin, own, kept, apart, moves: Vec::new(), far: false, unlisted }

@@ -85,3 +85,4 @@ pub use values::Tried;
 pub use verdict::{
     Concerned, Coverage, Finding, Kind, ManyValues, Phase, Refused, Step, TaskView, Unfinished, Verdicts,
 };
+pub use zones::compare_zones_with_walks;

@@ -77,6 +77,15 @@ impl CellFaults {
         self.drift == 0 && self.pause.is_empty()
     }
 
+    /// Whether a lookup by the fault budgets may miss the kept state that covers a state. A search omits the loss of a packet that no
+    /// task would notice. The state that is kept instead may allow more moves than its fault budgets show: an unused cut allows what
+    /// an open one does, and a packet that arrived at a node that is down may restart it.
+    pub(super) const fn hide_covered_states(&self) -> bool {
+        let doubles = self.dup > 0 || self.reorder > 0;
+        let takes = self.loss > 0 || !self.cut.is_empty();
+        !self.cut.is_empty() && doubles || takes && !self.crash.is_empty()
+    }
+
     /// Whether no fault may happen.
     #[must_use]
     pub fn are_none(&self) -> bool {
@@ -159,6 +168,11 @@ impl Times {
     pub const AUTO_STATES_WITH_FAULTS: u64 = 8_000;
 }
 
+/// The usual [`CellPlan::exact_zones`]: it takes a few seconds to find so many.
+const EXACT_ZONES: u64 = 60_000;
+/// The usual [`CellPlan::most_zones`].
+const MOST_ZONES: usize = 16;
+
 /// A cell to check.
 #[derive(Clone, Debug)]
 pub struct CellPlan {
@@ -181,6 +195,12 @@ pub struct CellPlan {
     pub everything: bool,
     /// Packets that a node's transit buffer holds.
     pub transit: u16,
+    /// States after which a search by zones begins again with hulls: from then on it keeps at most [`most_zones`](Self::most_zones)
+    /// zones of one control apart.
+    pub exact_zones: u64,
+    /// States with one control that a search with hulls keeps apart. More of them become their hull, which may have more times than
+    /// are reached (D202). Findings never rest on such times.
+    pub most_zones: usize,
     /// Threads that search.
     pub jobs: usize,
     /// What charts show of the cell's text. It changes no verdict.
@@ -205,6 +225,8 @@ impl CellPlan {
             step: 1,
             everything: false,
             transit: 16,
+            exact_zones: EXACT_ZONES,
+            most_zones: MOST_ZONES,
             jobs: 1,
             legend: Legend::default(),
             outside: Vec::new(),

@@ -19,7 +19,6 @@ use crate::cell_state::CellState;
 use crate::cell_state::plan::{CellScenario, Errand, Faults, TaskPlan, Transfer};
 use crate::state::{Packed, Violation};
 use checks::Evaluated;
-use held::Begins;
 use imrs_protocol::script::{Activity, ScriptInput};
 use imrs_protocol::{TaskId, Ticks};
 use liveness::Dead;
@@ -56,10 +55,10 @@ pub(super) struct Beside {
     pub stays: Vec<(u8, u8)>,
     /// Links, as a bit set, whose first packet is postponed until another event, or until the link's bound is over.
     pub slow: u64,
-    /// For each node, the ticks until the last of its scripts begins, which a restart holds back (D94).
-    pub held_back: Vec<Option<u32>>,
-    /// For each node, the scripts that begin in this tick.
-    pub begins: Vec<Begins>,
+    /// For each node, the time until the last of its scripts begins, which a restart holds back (D94).
+    pub held_back: Vec<Option<Ticks>>,
+    /// For each node, the tasks whose scripts begin in this tick, as a bit set.
+    pub begins: Vec<u64>,
     /// Nodes that took a step or crashed in this tick, as a bit set. Only these may crash, or restart at once. No task can tell
     /// a crash before a node's next step from one right after its last step.
     pub acted: u64,
@@ -142,7 +141,7 @@ impl RunState {
             stays: Vec::new(),
             slow: 0,
             held_back: vec![None; plan.table.cell().nodes.len()],
-            begins: vec![Begins::default(); plan.table.cell().nodes.len()],
+            begins: vec![0; plan.table.cell().nodes.len()],
             acted: u64::MAX,
         };
         let mut run_state = Self {
@@ -345,7 +344,7 @@ impl RunState {
                 cell_state.crash(node);
                 self.forget_pause(node);
                 self.beside.held_back[node] = None;
-                self.beside.begins[node] = Begins::default();
+                self.beside.begins[node] = 0;
                 // The node may restart in this tick.
                 self.beside.acted |= bit(node);
                 Ok(())

@@ -119,7 +119,7 @@ fn look(
     };
     if plan.times == Times::Zones {
         progress.started(phase, Times::Zones);
-        return zones::explore(plan, phase, faults);
+        return zones::explore(plan, phase, faults, progress);
     }
     if plan.times != Times::Auto {
         return explore_and_say(plan);
@@ -243,6 +243,7 @@ fn search(
         times: plan.times,
         parts: 1,
         states: search.origins.len() as u64,
+        hulls: 0,
         moves: search.moves,
         depth,
         whole_depth: left.map_or(depth, u64::from),

@@ -152,6 +152,9 @@ pub struct Coverage {
     pub parts: u32,
     /// Different states that were kept; between two of them only one move is possible.
     pub states: u64,
+    /// How many of these may have more times than are reached (D202): then a statement may count as reached that is not.
+    #[serde(default)]
+    pub hulls: u64,
     /// Moves made.
     pub moves: u64,
     /// The largest number of choices on a shortest path to a state.

@@ -17,6 +17,12 @@ pub(crate) struct Dbm {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Empty;
 
+/// The next of a few bounds: zero, the powers of two, none. So a set can be widened only a few times.
+fn further(bound: i64) -> i64 {
+    let power = bound.unsigned_abs().checked_next_power_of_two().and_then(|power| i64::try_from(power).ok());
+    if bound <= 0 { 0 } else { power.unwrap_or(FREE) }
+}
+
 /// A sum of two bounds.
 const fn plus(a: i64, b: i64) -> i64 {
     if a == FREE || b == FREE { FREE } else { a + b }
@@ -82,13 +88,16 @@ impl Dbm {
             return Err(Empty);
         }
         // Only paths over the new bound can be shorter than before.
-        let from_j: Vec<i64> = self.bounds[j * self.len..][..self.len].to_vec();
-        for row in self.bounds.chunks_mut(self.len) {
-            let over = plus(row[i], c);
-            if over != FREE {
-                row.iter_mut()
-                    .zip(&from_j)
-                    .for_each(|(bound, &rest)| *bound = (*bound).min(plus(over, rest)));
+        for from in 0..self.len {
+            let over = plus(self.at(from, i), c);
+            // A path that is no shorter to `j` is no shorter to any other variable.
+            if over >= self.at(from, j) {
+                continue;
+            }
+            for to in 0..self.len {
+                let path = plus(over, self.at(j, to));
+                let bound = &mut self.bounds[from * self.len + to];
+                *bound = path.min(*bound);
             }
         }
         Ok(())
@@ -112,23 +121,66 @@ impl Dbm {
         Self { len: self.len, bounds }
     }
 
+    /// A set with all points of both. Where the other set exceeds this one, the difference of two variables may be any that the
+    /// bounds of the two allow, a positive variable may have any positive value below its greatest, and other bounds are the next power
+    /// of two.
+    pub fn widened(&self, other: &Self) -> Self {
+        let of = |(at, (&mine, &others)): (usize, (&i64, &i64))| match (at / self.len, at % self.len) {
+            _ if others <= mine => mine,
+            (0, _) if others < 0 => -1,
+            (0, _) | (_, 0) => further(others),
+            _ => FREE,
+        };
+        let bounds = self.bounds.iter().zip(&other.bounds).enumerate().map(of).collect();
+        let mut widened = Self { len: self.len, bounds };
+        widened.close();
+        widened
+    }
+
+    /// Makes each bound that of the shortest path.
+    fn close(&mut self) {
+        for via in 0..self.len {
+            let from_via: Vec<i64> = self.bounds[via * self.len..][..self.len].to_vec();
+            for row in self.bounds.chunks_mut(self.len).filter(|row| row[via] != FREE) {
+                let to_via = row[via];
+                let over = from_via.iter().map(|&rest| plus(to_via, rest));
+                row.iter_mut().zip(over).for_each(|(bound, over)| *bound = (*bound).min(over));
+            }
+        }
+    }
+
+    /// The points whose first values are in another set.
+    ///
+    /// # Errors
+    /// [`Empty`] if there is none.
+    pub fn within(&self, first: &Self) -> Result<Self, Empty> {
+        let mut both = self.clone();
+        for (at, &bound) in first.bounds.iter().enumerate().filter(|(_, bound)| **bound != FREE) {
+            both.constrain(at / first.len, at % first.len, bound)?;
+        }
+        Ok(both)
+    }
+
     /// The union of two sets over the same variables, if it can be described so: if it equals the [hull](Self::hull).
     pub fn merged(&self, other: &Self) -> Option<Self> {
         let hull = |i: usize, j: usize| self.at(i, j).max(other.at(i, j));
-        let tighter = |one: &Self, than: &Self| -> Vec<(usize, usize, i64)> {
-            let pairs = (0..self.len).flat_map(|i| (0..self.len).map(move |j| (i, j)));
-            pairs.filter(|&(i, j)| one.at(i, j) < than.at(i, j)).map(|(i, j)| (i, j, one.at(i, j))).collect()
-        };
-        let others = tighter(other, self);
+        let others: Vec<_> = other.tighter(self).collect();
         // The hull without the first set is the points of the hull that break one of its tighter bounds. With such a bound broken,
         // each other bound is the hull's own or that of the path over the broken one: all must be within the second set.
         let is_outside = |(i, j, mine): (usize, usize, i64)| {
             others.iter().any(|&(k, l, bound)| plus(plus(hull(k, j), hull(i, l)), -mine - 1) > bound)
         };
-        if tighter(self, other).into_iter().any(is_outside) {
+        if self.tighter(other).any(is_outside) {
             return None;
         }
         Some(self.hull(other))
+    }
+
+    /// The bounds that are less than those of another set over the same variables.
+    fn tighter(&self, than: &Self) -> impl Iterator<Item = (usize, usize, i64)> {
+        let both = self.bounds.iter().zip(&than.bounds).enumerate();
+        let less = both.filter(|(_, (mine, others))| mine < others);
+        less.map(|(at, (&mine, _))| (at / self.len, at % self.len, mine))
     }
 
     /// A point of the set, the value of zero first.
@@ -144,7 +196,18 @@ impl Dbm {
         values
     }
 
+    /// Whether the set has a point like this one, in which each of the variables `over` may be less than zero instead of zero.
+    pub fn reaches(&self, point: &[i64], over: &[usize]) -> bool {
+        let mut left = self.clone();
+        point.len() == self.len
+            && point.iter().enumerate().all(|(i, &value)| {
+                let at_least = over.contains(&i) || left.constrain(0, i, -value).is_ok();
+                at_least && left.constrain(i, 0, value).is_ok()
+            })
+    }
+
     /// Whether a point, the value of zero first, is in the set.
+    #[cfg(test)]
     pub fn has(&self, point: &[i64]) -> bool {
         let holds = |i: usize, j: usize| self.bound(i, j).is_none_or(|bound| point[i] - point[j] <= bound);
         point.len() == self.len && (0..self.len).all(|i| (0..self.len).all(|j| holds(i, j)))
@@ -262,6 +325,61 @@ mod tests {
             stay += usize::from(!is_exact);
         }
         assert!(merges > 50 && stay > 50, "{merges} merge, {stay} stay");
+    }
+
+    #[test]
+    fn a_widened_set_has_the_points_of_both_and_grows_only_a_few_times() {
+        let mut grown = 0;
+        for ((one, mine), (other, others)) in pairs(2_000) {
+            let widened = one.widened(&other);
+            assert!(mine.union(&others).all(|point| widened.has(point)), "{one:?}\n{other:?}\n{widened:?}");
+            // Its bounds are the shortest paths: nothing changes if they are closed again.
+            let mut closed = widened.clone();
+            closed.close();
+            assert_eq!(closed, widened);
+            assert_eq!(
+                one.is_in(&other).then(|| other.widened(&one)),
+                one.is_in(&other).then(|| other.clone())
+            );
+            grown += usize::from(widened != one);
+        }
+        assert!(grown > 500, "{grown}");
+        // A set that grows by one is widened only a few times.
+        let upto = |most: i64| {
+            let mut set = Dbm::zero();
+            let new = set.add();
+            set.constrain(new, 0, most).and_then(|()| set.constrain(0, new, -most)).map(|()| set)
+        };
+        let mut set = upto(1).expect("a point");
+        let mut times = 0;
+        for most in 2..100_000 {
+            let next = upto(most).expect("a point");
+            if !next.is_in(&set) {
+                set = set.widened(&next);
+                times += 1;
+            }
+        }
+        assert!(times < 20, "{times}");
+    }
+
+    #[test]
+    fn the_points_within_another_set_are_those_with_its_first_values() {
+        let mut rng = fastrand::Rng::with_seed(9);
+        let mut empty = 0;
+        for ((one, mine), (other, _)) in pairs(1_000) {
+            let first = other.project(&[(0, 0), (1, 0), (2, 0)]);
+            let is_in = |point: &&[i64; 4]| first.has(&point[..3]);
+            let within: Points = mine.iter().filter(is_in).copied().collect();
+            match one.within(&first) {
+                Ok(both) => assert!(all().all(|point| both.has(&point) == within.contains(&point))),
+                Err(Empty) => assert!(within.is_empty()),
+            }
+            empty += usize::from(within.is_empty());
+            let point = [0, rng.i64(-1..3), rng.i64(-1..3), 0];
+            let is_like = |p: &&[i64; 4]| p[1] == point[1] && p[2] == point[2] && p[3] <= 0;
+            assert_eq!(one.reaches(&point, &[3]), mine.iter().any(|p| is_like(&p)), "{one:?} {point:?}");
+        }
+        assert!(empty > 10, "{empty}");
     }
 
     #[test]

@@ -4,7 +4,7 @@
 //! the code must be deterministic but for its answers.
 
 use super::dbm::{Dbm, Empty};
-use super::times::Times;
+use super::times::{Times, symbol_of};
 use imrs_protocol::Ticks;
 use imrs_protocol::symbolic::{self, START, Symbol, Time, Zone};
 use std::cell::{RefCell, RefMut};
@@ -98,7 +98,8 @@ impl Forks {
 
 impl Cut {
     fn new(zone: Dbm, answers: Vec<Answer>) -> Self {
-        Self { zone, answers, used: 0, loose: Vec::new(), is_exact: true, times: Times::default() }
+        let times = Times::of_zone(zone.len());
+        Self { zone, answers, used: 0, loose: Vec::new(), is_exact: true, times }
     }
 
     /// The times of the state that was packed last.
@@ -109,6 +110,11 @@ impl Cut {
     /// The times of the state that was packed last, as a zone of its own.
     pub fn state(&self) -> Dbm {
         self.zone.project(&self.times.terms())
+    }
+
+    /// The least value of a variable.
+    pub fn least(&self, variable: u8) -> i64 {
+        self.zone.bound(usize::from(START), variable.into()).map_or(0, |bound| -bound)
     }
 
     /// Whether one time is at most another one at all points. False also if that takes more than two variables.
@@ -223,12 +229,6 @@ impl Cut {
         let by = |way: [usize; 3]| plus.iter().zip(way).map(|(&i, j)| self.zone.bound(i, less[j])).sum();
         WAYS.into_iter().filter_map(by).min()
     }
-}
-
-/// A time as a symbol; `None`: never.
-pub(crate) fn symbol_of(time: Ticks) -> Option<Symbol> {
-    let plain = || Symbol { first: START, second: START, offset: time.0.cast_signed() };
-    (time != Ticks::FAR).then(|| symbolic::symbol(time.0).unwrap_or_else(plain))
 }
 
 impl Cut {

@@ -12,4 +12,4 @@
 pub(crate) mod dbm;
 pub(crate) mod forks;
 mod pack;
-mod times;
+pub(crate) mod times;

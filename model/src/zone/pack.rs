@@ -16,6 +16,11 @@ impl Cut {
         self.times = Times { now, ..Times::default() };
     }
 
+    /// Begins to read the state that was packed last, with its times on the variables of this zone.
+    pub fn begin_to_read(&mut self) {
+        (self.times.read, self.times.sent) = (0, None);
+    }
+
     pub(super) fn pack_time(&mut self, time: Time, symbol: Option<Symbol>) -> u8 {
         let now = self.times.now;
         let (from, symbol) = match (time, symbol) {
@@ -34,6 +39,10 @@ impl Cut {
         let (variable, more) = self.moved(from.0, first, second);
         self.decides(variable);
         let term = (variable, offset + from.1 + more);
+        if time == (Time::Left { forgets: false }) && first == second && offset == 0 {
+            // Zero, the present, comes before the times.
+            self.times.over.push(self.times.terms.len() + 1);
+        }
         if time == Time::Age {
             self.times.sent = Some(term);
         }
@@ -42,22 +51,22 @@ impl Cut {
     }
 
     pub(super) fn unpack_time(&mut self, time: Time, packed: u8) -> Option<Symbol> {
-        let zero = Symbol { first: START, second: START, offset: 0 };
-        let from = self.times.sent.take().map_or(START, |(sent, _)| sent);
+        let now = self.times.now;
+        let from = self.times.sent.take().unwrap_or(now);
         match packed {
             NEVER => return None,
-            PAST => return Some(zero),
+            PAST => return Some(Symbol { first: START, second: START, offset: 0 }),
             _ => {}
         }
-        // The first variable is the present.
+        let term = self.times.terms.get(self.times.read).copied().unwrap_or(now);
         self.times.read += 1;
-        let variable = self.times.read;
+        let since = |(first, more): Term, (second, less): Term| Symbol { first, second, offset: more - less };
         Some(match time {
-            Time::Left { .. } => Symbol { first: variable, ..zero },
-            Time::Remaining => Symbol { first: variable, second: from, offset: 0 },
+            Time::Left { .. } => since(term, now),
+            Time::Remaining => since(term, from),
             Time::Age => {
-                self.times.sent = Some((variable, 0));
-                Symbol { second: variable, ..zero }
+                self.times.sent = Some(term);
+                since(now, term)
             }
         })
     }

@@ -3,6 +3,9 @@
 //! Each time is a variable of its own, in the order of packing, and zero is the present. So states whose times differ by
 //! constants, too, have the same bytes, and their zones can be compared and merged.
 
+use imrs_protocol::Ticks;
+use imrs_protocol::symbolic::{self, START, Symbol};
+
 /// A variable and an offset.
 pub(super) type Term = (u8, i64);
 
@@ -12,15 +15,34 @@ pub(crate) struct Times {
     /// The present.
     pub(super) now: Term,
     pub(super) terms: Vec<Term>,
-    pub(super) read: u8,
+    pub(super) read: usize,
     /// When the packet that comes next was sent.
     pub(super) sent: Option<Term>,
+    /// The positions of times that are over as plain zeros, although it may matter since when.
+    pub(super) over: Vec<usize>,
 }
 
 impl Times {
+    /// The times of a state whose zone has so many variables: the present, then each of its times.
+    pub fn of_zone(len: usize) -> Self {
+        let terms = (1..len).map(|variable| (u8::try_from(variable).unwrap_or(u8::MAX), 0)).collect();
+        Self { now: (START, 0), terms, ..Self::default() }
+    }
+
+    /// The variables, in the zone of the packed state, of the times that are zero because they are over.
+    pub fn over(&self) -> &[usize] {
+        &self.over
+    }
+
     /// The terms of the new state's zone: the present, then each of its times.
     pub fn terms(&self) -> Vec<(usize, i64)> {
         let all = std::iter::once(&self.now).chain(&self.terms);
         all.map(|&(variable, offset)| (usize::from(variable), offset)).collect()
     }
+}
+
+/// A time as a symbol; `None`: never.
+pub(crate) fn symbol_of(time: Ticks) -> Option<Symbol> {
+    let plain = || Symbol { first: START, second: START, offset: time.0.cast_signed() };
+    (time != Ticks::FAR).then(|| symbolic::symbol(time.0).unwrap_or_else(plain))
 }

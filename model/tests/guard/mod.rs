@@ -16,7 +16,7 @@ use std::sync::Arc;
 
 /// A seeded generator of random numbers. It spreads the seed over all bits, and sets the lowest one, because zero would stay
 /// zero.
-const fn dice(seed: u64) -> Dice {
+pub const fn dice(seed: u64) -> Dice {
     Dice(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
 }
 

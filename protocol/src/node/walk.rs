@@ -7,7 +7,7 @@ use crate::packet::Packet;
 use crate::request::TimeId;
 use crate::state::{Walk, same_variant};
 use crate::task::Input;
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 
 /// The kinds of inputs that a packed state can hold.
 const WORKS: [Work; 5] = [
@@ -23,6 +23,8 @@ impl Node {
     pub fn walk_work<W: Walk>(&mut self, w: &mut W) {
         let count = w.count(self.work.len());
         if W::READS {
+            // The parts, whose clocks were read as zero, get only differences of this clock.
+            self.now = Instant::START;
             self.work.clear();
             self.work.resize(count, Work::Pass(TaskId(0), Ticks::ZERO));
         }

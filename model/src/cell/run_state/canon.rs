@@ -103,6 +103,13 @@ impl RunState {
         Ok(())
     }
 
+    /// Loads the state that was packed last: what packing did not keep is gone then.
+    pub fn load_packed(&mut self) {
+        let packed = std::mem::take(&mut self.packed);
+        self.load(&packed);
+        self.packed = packed;
+    }
+
     /// Loads a packed state.
     pub fn load(&mut self, state: &[u8]) {
         let mut at = Decode::read(state, true, |r| self.walk_beside(r));
@@ -163,10 +170,8 @@ impl Beside {
             w.long(acted);
         }
         for node in &had.crash {
-            let mut left = held_back[node.index()].unwrap_or(0);
-            w.number(&mut left);
-            held_back[node.index()] = Some(left).filter(|left| *left > 0);
-            begins[node.index()].walk(w);
+            walk_left(&mut held_back[node.index()], w);
+            w.long(&mut begins[node.index()]);
         }
         for (node, asleep) in asleep.iter_mut().enumerate() {
             let slept = &mut cell_state.nodes[node].asleep;
@@ -179,7 +184,7 @@ impl Beside {
         for (_, due) in
             plan.checks.iter().zip(due).filter(|(check, _)| matches!(check.holds, Holds::Leads { .. }))
         {
-            walk_due(due, w);
+            walk_left(due, w);
         }
         if W::READS {
             stays.clear();
@@ -204,11 +209,12 @@ fn or_none<W: Walk>(ticks: &mut Option<u32>, w: &mut W) {
     *ticks = read.checked_sub(1);
 }
 
-/// Walks an optional obligation of a check, in the form that `or_none` uses.
-fn walk_due<W: Walk>(due: &mut Option<Ticks>, w: &mut W) {
-    let mut read = due.map_or(Ticks::ZERO, |left| left + Ticks(1));
+/// Walks an optional time, in the form that `or_none` uses.
+fn walk_left<W: Walk>(left: &mut Option<Ticks>, w: &mut W) {
+    // What was there before a pass that reads means nothing any more: it may be a symbol of another run.
+    let mut read = left.filter(|_| !W::READS).map_or(Ticks::ZERO, |left| left + Ticks(1));
     w.left(&mut read, true);
-    *due = (!read.is_zero()).then(|| read - Ticks(1));
+    *left = (!read.is_zero()).then(|| read - Ticks(1));
 }
 
 /// A pause: the ticks that it may still last, the ticks that it has lasted, and the actions that it holds back.

@@ -1,64 +1,57 @@
-//! Holds back the scripts of a restarted node (D94, D157). A cell state has one number for each node: the ticks until the last
+//! Holds back the scripts of a restarted node (D94, D157). A cell state has one time for each node: how long until the last
 //! of its scripts begins. The table then tells when each of the others begins.
 
 use super::{RunState, bit};
 use crate::state::Violation;
-use imrs_protocol::{TaskId, Walk};
+use imrs_protocol::{TaskId, Ticks};
 
-/// The scripts of a node that begin in this tick: those with a hold in `from..to`, of which `begun` have begun.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(in crate::cell) struct Begins {
-    from: u32,
-    to: u32,
-    begun: u8,
-}
-
-impl Begins {
-    pub fn walk<W: Walk>(&mut self, w: &mut W) {
-        let Self { from, to, begun } = self;
-        w.number(from);
-        w.number(to);
-        w.byte(begun);
-    }
-}
+/// No script is held back for longer: packed states have no room for it.
+const LONGEST: Ticks = Ticks(u32::MAX as u64 - 4);
 
 impl RunState {
     /// Prepares a restarted node's scripts: those that are not held back begin in this tick, the others
     /// later.
     pub fn begin_again(&mut self, node: usize) {
-        self.beside.held_back[node] = Some(self.longest_held(node)).filter(|longest| *longest > 0);
-        self.beside.begins[node] = Begins { from: 0, to: 1, begun: 0 };
-        self.end_beginning(node);
+        let at_once = self.here(node).filter(|&task| self.held(task).is_zero());
+        self.beside.begins[node] = at_once.fold(0, |begins, task| begins | bit(task));
+        self.beside.held_back[node] = Some(self.longest_held(node)).filter(|longest| !longest.is_zero());
     }
 
-    /// Ticks until the next script begins that a node holds back.
-    pub fn next_begin(&self, node: usize) -> Option<u64> {
-        let passed = self.longest_held(node) - self.beside.held_back[node]?;
-        let later = self.here(node).map(|task| self.held(task)).filter(|held| *held > passed);
-        later.min().map(|held| u64::from(held - passed))
+    /// The time until the next script begins that a node holds back.
+    pub fn next_begin(&self, node: usize) -> Option<Ticks> {
+        self.to_begin(node).map(|(_, left)| left).min()
+    }
+
+    /// The tasks of a node whose scripts are held back, and the time until each begins.
+    fn to_begin(&self, node: usize) -> impl Iterator<Item = (usize, Ticks)> + '_ {
+        let left = self.beside.held_back[node];
+        left.into_iter().flat_map(move |left| {
+            let longest = self.longest_held(node);
+            let of_task = move |task| {
+                // The last script begins so long after this one.
+                let before_last = longest - self.held(task);
+                (left > before_last).then(|| (task, left - before_last))
+            };
+            self.here(node).filter_map(of_task)
+        })
     }
 
     /// Lets time pass for a node's scripts. Each script whose hold ends begins by a move of its own.
-    pub fn hold_back_on(&mut self, node: usize, ticks: u32) {
+    pub fn hold_back_on(&mut self, node: usize, ticks: Ticks) {
         let Some(left) = self.beside.held_back[node] else { return };
-        let longest = self.longest_held(node);
-        let (before, passed) = (longest - left, longest - left.saturating_sub(ticks));
-        self.beside.begins[node] = Begins { from: before + 1, to: passed + 1, begun: 0 };
-        if self.begins_next(node).is_some() {
+        let begin = self.to_begin(node).filter(|(_, left)| *left <= ticks);
+        let begins = begin.fold(0, |begins, (task, _)| begins | bit(task));
+        if begins != 0 {
             self.beside.acted |= bit(node);
         }
-        self.end_beginning(node);
+        self.beside.begins[node] |= begins;
+        self.beside.held_back[node] = Some(left - ticks).filter(|left| !left.is_zero());
     }
 
     /// The next task of a node whose script begins in this tick.
     pub fn begins_next(&self, node: usize) -> Option<usize> {
-        let Begins { from, to, begun } = self.beside.begins[node];
-        // In most states no script of the node begins. The check comes first, because `moves` calls this
-        // function for each node in each state.
-        if from == to {
-            return None;
-        }
-        self.here(node).filter(|&task| (from..to).contains(&self.held(task))).nth(usize::from(begun))
+        let begins = self.beside.begins[node];
+        (begins != 0).then_some(begins.trailing_zeros() as usize)
     }
 
     /// Whether the script that [`begins_next`](Self::begins_next) names may begin now: its task must have
@@ -70,26 +63,16 @@ impl RunState {
     /// Begins the next script of a node, with all that follows from it within the node.
     pub fn begin_next(&mut self, node: usize) -> Result<(), Violation> {
         let Some(task) = self.begins_next(node) else { return Ok(()) };
-        self.beside.begins[node].begun += 1;
-        self.end_beginning(node);
+        self.beside.begins[node] &= !bit(task);
         self.cell.begin_whole(task)
     }
 
-    /// Updates the hold of a node once the last script of this tick has begun.
-    fn end_beginning(&mut self, node: usize) {
-        if self.begins_next(node).is_none() {
-            let passed = std::mem::take(&mut self.beside.begins[node]).to.saturating_sub(1);
-            let longest = self.longest_held(node);
-            self.beside.held_back[node] = Some(longest.saturating_sub(passed)).filter(|left| *left > 0);
-        }
+    fn longest_held(&self, node: usize) -> Ticks {
+        self.here(node).map(|task| self.held(task)).max().unwrap_or(Ticks::ZERO)
     }
 
-    fn longest_held(&self, node: usize) -> u32 {
-        self.here(node).map(|task| self.held(task)).max().unwrap_or(0)
-    }
-
-    fn held(&self, task: usize) -> u32 {
-        u32::try_from(self.plan.table.held_back(TaskId::from_index(task)).0).unwrap_or(u32::MAX)
+    fn held(&self, task: usize) -> Ticks {
+        self.plan.table.held_back(TaskId::from_index(task)).min(LONGEST)
     }
 
     fn here(&self, node: usize) -> impl Iterator<Item = usize> + '_ {

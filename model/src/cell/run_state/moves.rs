@@ -168,7 +168,8 @@ impl RunState {
         if self.beside.fail > 0 {
             moves.push(CellMove::Acted(task, level, false, 0));
         }
-        if !action.most.is_zero() {
+        // With symbolic times, `zones` takes the times at which the action goes on.
+        if self.cell.is_symbolic || !action.most.is_zero() {
             moves.push(CellMove::GoOn(task, level));
         }
     }
@@ -217,6 +218,10 @@ impl RunState {
 
     /// Whether an event is to come.
     fn goes_on(&self) -> bool {
+        // With symbolic times, `events` asks which of them come in the next tick; this asks only whether they come.
+        if self.cell.is_symbolic {
+            return self.limits().any(|left| left <= LATEST);
+        }
         self.events().any(|left| left <= LATEST)
     }
 
@@ -252,11 +257,11 @@ impl RunState {
         let cell_state = &self.cell;
         let up = || (0..cell_state.nodes.len()).filter(|&i| cell_state.nodes[i].up);
         let awake = || up().filter(|&i| !self.is_asleep(i));
-        let nodes = awake().filter_map(|i| cell_state.nodes[i].node.time_left());
+        let nodes = awake().flat_map(|i| cell_state.nodes[i].node.times_left());
         let paused = up().filter(|&i| self.is_asleep(i)).flat_map(|i| self.events_asleep(i)).map(Ticks);
         // A check fails when the last tick of its bound is over, hence one tick more.
         let due = self.beside.due.iter().flatten().map(|&left| left + Ticks(1));
-        let held_back = awake().filter_map(|i| self.next_begin(i)).map(Ticks);
+        let held_back = awake().filter_map(|i| self.next_begin(i));
         nodes.chain(paused).chain(due).chain(held_back)
     }
 

@@ -101,7 +101,7 @@ impl RunState {
     /// Whether a node does something by itself within `ticks`.
     fn notices(&self, node: usize, ticks: Ticks) -> bool {
         let due = self.cell.nodes[node].node.time_left();
-        let begins = self.next_begin(node).map(Ticks);
+        let begins = self.next_begin(node);
         due.into_iter().chain(begins).any(|due| due <= ticks)
     }
 
@@ -173,8 +173,8 @@ impl RunState {
 
     /// Passes `ticks` on a node's clock, and for the scripts that it holds back.
     pub fn notice(&mut self, node: usize, ticks: Ticks) -> Result<(), Violation> {
-        let due = self.cell.nodes[node].node.time_left();
-        if due.is_some_and(|due| due <= ticks) {
+        // Of symbolic times, the least one is not computed: that would ask which one it is.
+        if self.cell.nodes[node].node.times_left().any(|due| due <= ticks) {
             self.beside.acted |= bit(node);
         }
         // With symbolic times, no zone is asked whether the symbol is zero, because letting no time pass
@@ -182,7 +182,7 @@ impl RunState {
         if self.cell.is_symbolic || !ticks.is_zero() {
             self.cell.pass(node, ticks)?;
         }
-        self.hold_back_on(node, u32::try_from(ticks.0).unwrap_or(u32::MAX));
+        self.hold_back_on(node, ticks);
         Ok(())
     }
 

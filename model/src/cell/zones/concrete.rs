@@ -2,6 +2,7 @@
 
 use super::runner::{From, Run};
 use super::search::{Hit, Search, is_sampled};
+use super::store::Origin;
 use crate::cell::judge::Shown;
 use crate::cell::plan::{CellFaults, CellPlan, Times};
 use crate::cell::run_state::CellMove;
@@ -30,9 +31,7 @@ pub fn told(
     let (mut run, zone, _) = rerun(search, hit.state, &hit.answers)?;
     run.moves.truncate(hit.moves);
     run.silent_until = None;
-    let mut legs = vec![Leg::of(&mut run, &zone.point())?];
-    legs.extend(legs_to(search, hit.state, zone.point())?);
-    legs.reverse();
+    let legs = legs_to(search, hit.state, zone, Some(run))?;
     let plan = &at_every_tick(plan);
     let replay = Replay::of(plan, (phase, faults), &legs)?;
     let moves = replay.shows(&hit.shown).then_some(replay.moves)?;
@@ -52,9 +51,8 @@ pub fn moves_to(
     search: &mut Search,
     state: u32,
 ) -> Option<Vec<CellMove>> {
-    let point = search.store.states[state as usize].zone.as_ref()?.point();
-    let mut legs = legs_to(search, Some(state), point)?;
-    legs.reverse();
+    let zone = search.store.states[state as usize].zone.clone()?;
+    let legs = legs_to(search, Some(state), zone, None)?;
     Some(Replay::of(plan, of, &legs)?.moves)
 }
 
@@ -66,27 +64,42 @@ impl Leg {
     }
 }
 
-/// The legs from the start to a state at these times, the last one first: times are picked backwards.
-fn legs_to(search: &mut Search, mut at: Option<u32>, mut point: Vec<i64>) -> Option<Vec<Leg>> {
+/// The legs from the start to the end of a run from a state: times are picked backwards. The first variables of the zone are the
+/// times of the state.
+fn legs_to(
+    search: &mut Search,
+    mut at: Option<u32>,
+    mut zone: Dbm,
+    mut last: Option<Run>,
+) -> Option<Vec<Leg>> {
     let mut legs = Vec::new();
-    while let Some(state) = at {
-        // The times of the state from which this leg began.
-        let control = &search.store.states[state as usize];
-        let times = &point[..control.zone.as_ref()?.len()];
-        let origin = control.origins.iter().find(|origin| origin.zone.has(times))?;
-        let (parent, answers) = (origin.parent, origin.answers.clone());
-        let (mut run, mut zone, terms) = rerun(search, parent, &answers)?;
-        let (&(now, moved), others) = terms.split_first()?;
-        for (&(variable, offset), &value) in others.iter().zip(&times[1..]) {
-            let apart = value - offset + moved;
-            zone.constrain(variable, now, apart).ok()?;
-            zone.constrain(now, variable, -apart).ok()?;
+    loop {
+        let reached = |origin: &Origin| {
+            let point = zone.within(&origin.zone).ok()?.point();
+            Some((origin.parent, origin.answers.clone(), origin.zone.len(), point))
+        };
+        let before = match at {
+            Some(state) => Some(search.store.origins(state).find_map(reached)?),
+            None => None,
+        };
+        if let Some(mut run) = last.take() {
+            let point = before.as_ref().map_or_else(|| zone.point(), |(.., point)| point.clone());
+            legs.push(Leg::of(&mut run, &point)?);
         }
-        point = zone.point();
-        legs.push(Leg::of(&mut run, &point)?);
-        at = parent;
+        let Some((parent, answers, len, point)) = before else {
+            legs.reverse();
+            return Some(legs);
+        };
+        // The run that leads to these times of the state.
+        let (run, mut cut, terms) = rerun(search, parent, &answers)?;
+        let (&(now, moved), others) = terms.split_first()?;
+        for (&(variable, offset), &value) in others.iter().zip(&point[1..len]) {
+            let apart = value - offset + moved;
+            cut.constrain(variable, now, apart).ok()?;
+            cut.constrain(now, variable, -apart).ok()?;
+        }
+        (at, zone, last) = (parent, cut, Some(run));
     }
-    Some(legs)
 }
 
 /// A variable and an offset.
@@ -94,7 +107,8 @@ type Term = (usize, i64);
 
 /// Makes a run again. Returns its zone, too, and the terms of the times at its end.
 fn rerun(search: &mut Search, state: Option<u32>, answers: &[u16]) -> Option<(Run, Dbm, Vec<Term>)> {
-    let Search { runner, store, .. } = search;
+    let Search { runners, store, .. } = search;
+    let runner = &mut runners[0];
     let (zone, control) = match state {
         Some(at) => {
             let state = &store.states[at as usize];
@@ -103,6 +117,7 @@ fn rerun(search: &mut Search, state: Option<u32>, answers: &[u16]) -> Option<(Ru
         None => (Dbm::zero(), Box::default()),
     };
     let from = if state.is_some() { From::Kept(&control) } else { From::Start };
+    runner.begin_state();
     let ((run, terms), zone) = again(&zone, answers, |forks| {
         let run = runner.run(forks, from, is_sampled(state));
         let terms = forks.cut().times().terms();

@@ -4,7 +4,9 @@ use super::concrete;
 use super::runner::Runner;
 use super::search::Search;
 use crate::cell::done::Done;
+use crate::cell::judge::Reached;
 use crate::cell::plan::{CellFaults, CellPlan, Times};
+use crate::cell::progress::SearchProgress;
 use crate::cell::standstill::{MOST_TOLD, tell};
 use crate::cell::verdict::{Coverage, Finding, Kind, Phase};
 use std::collections::HashSet;
@@ -14,30 +16,59 @@ use std::time::Instant;
 /// Searches a cell by zones. All that it finds was found again on plain ticks.
 pub(in crate::cell) fn explore(
     plan: &Arc<CellPlan>,
+    phase: (Phase, usize),
+    faults: &CellFaults,
+    progress: &dyn SearchProgress,
+) -> Done {
+    let start = (Instant::now(), progress);
+    let within = |states: u64, seconds: f64| {
+        let mut budget = plan.budget;
+        (budget.states, budget.seconds) = (budget.states.min(states), budget.seconds * seconds);
+        Arc::new(CellPlan { budget, ..CellPlan::clone(plan) })
+    };
+    let exactly = |plan: &Arc<CellPlan>| once(plan, phase, faults, (usize::MAX, start)).0;
+    if plan.everything {
+        return exactly(plan);
+    }
+    let short = within(plan.exact_zones, 1.0);
+    if plan.exact_zones > 0 {
+        let done = exactly(&short);
+        if done.coverage.complete
+            || short.budget.states == plan.budget.states
+            || start.0.elapsed().as_secs_f64() >= plan.budget.seconds
+        {
+            return done;
+        }
+    }
+    let (done, is_enough) = once(&within(u64::MAX, 0.5), phase, faults, (plan.most_zones.max(1), start));
+    if is_enough && done.coverage.complete {
+        return done;
+    }
+    // What is found at times that are not reached is no finding, and such times may lead to any number of states. Without hulls, all
+    // times are reached.
+    exactly(plan)
+}
+
+/// Searches with at most so many zones of one control. Also returns whether all that it found was found again, or was not found in
+/// hulls.
+fn once(
+    plan: &Arc<CellPlan>,
     (phase, hypothesis): (Phase, usize),
     faults: &CellFaults,
-) -> Done {
-    let start = Instant::now();
-    let runner = Runner::new(plan, phase, faults);
-    let mut search = Search::new(runner);
-    let mut ended_by = search.run(plan, start);
-    if search.outgrown {
-        ended_by
-            .get_or_insert_with(|| "a number in some states is too large for the checker to store".into());
-    }
-    if search.inexact > 0 {
-        ended_by.get_or_insert_with(|| {
-            "the times of three instants met in one, which zones do not cover exactly; use --times every"
-                .into()
-        });
-    }
+    (most, start): (usize, (Instant, &dyn SearchProgress)),
+) -> (Done, bool) {
+    let runners = (0..plan.jobs.max(1)).map(|_| Runner::new(plan, phase, faults)).collect();
+    let mut search = Search::new(runners, most);
+    let mut ended_by = search.run(plan, start).or_else(|| search.shortcoming());
     let hits = std::mem::take(&mut search.hits);
     let pruned = hits.iter().any(|hit| hit.shown.last || hit.shown.kind == Kind::Deadlock);
     let mut told: Vec<Finding> = Vec::new();
+    let mut is_all_told = true;
     for hit in &hits {
         match concrete::told(plan, (phase, hypothesis), faults, &mut search, hit) {
             Some(finding) => told.push(finding),
             None => {
+                is_all_told = false;
                 let what =
                     format!("{} is not found at plain times: {}", hit.shown.kind.name(), hit.shown.cause);
                 ended_by.get_or_insert(what);
@@ -48,7 +79,8 @@ pub(in crate::cell) fn explore(
         told.extend(standstill(plan, (phase, hypothesis), faults, &mut search));
     }
     let (warnings, findings) = told.into_iter().partition(|found| found.kind.is_warning());
-    let Search { runner, store, longest, .. } = search;
+    let Search { runners, store, longest, inexact, .. } = search;
+    let is_enough = is_all_told || store.hulls() == 0;
     let depth = store.states.iter().map(|state| u64::from(state.depth)).max().unwrap_or(0);
     let coverage = Coverage {
         phase,
@@ -56,7 +88,9 @@ pub(in crate::cell) fn explore(
         times: Times::Zones,
         parts: 1,
         states: store.len() as u64,
-        moves: runner.moves,
+        // A run whose times are not exact leads to more times than can occur, too.
+        hulls: store.hulls() + inexact,
+        moves: runners.iter().map(|runner| runner.moves).sum(),
         depth,
         whole_depth: store.least_left().map_or(depth, u64::from),
         ticks: 0,
@@ -65,9 +99,21 @@ pub(in crate::cell) fn explore(
         ended_by,
         unfinished: None,
         longest_state: longest as u64,
-        seconds: start.elapsed().as_secs_f64(),
+        seconds: start.0.elapsed().as_secs_f64(),
     };
-    Done { coverage, findings, warnings, reached: runner.reached, mattered: runner.mattered }
+    let mut mattered = vec![false; plan.checks.len()];
+    for runner in &runners {
+        mattered.iter_mut().zip(&runner.mattered).for_each(|(all, one)| *all |= one);
+    }
+    let reached = runners.into_iter().map(|runner| runner.reached).reduce(Reached::join).unwrap_or_default();
+    (Done { coverage, findings, warnings, reached, mattered }, is_enough)
+}
+
+impl Search {
+    /// Why the search is not complete although it expanded all its states.
+    fn shortcoming(&self) -> Option<String> {
+        self.outgrown.then(|| "a number in some states is too large for the checker to store".into())
+    }
 }
 
 /// The first standstill that is found again on plain ticks.

@@ -4,10 +4,11 @@
 //!   runner    runs the moves of a cell on symbolic times, from one kept state to the next, once for each way that its times allow
 //!   reduce    what these runs leave out, and how the zones that are kept grow (D194)
 //!   store     the kept states: for each control, the zones that were reached
-//!   search    expands kept states, breadth first
+//!   search    expands kept states, the earliest first
 //!   still     finds standstills among the kept states
 //!   concrete  picks times for a path, and replays it on plain ticks
 //!   explore   tells what a search found
+//!   walked    looks up the states of random walks among the kept zones, for tests
 //! ```
 //!
 //! A state is a *control*, all but its times, and a *zone*, the times that it was reached with. The moves, their order within an
@@ -25,8 +26,10 @@ mod runner;
 mod search;
 mod still;
 mod store;
+mod walked;
 
 pub(super) use explore::explore;
+pub use walked::compare_zones_with_walks;
 
 use super::plan::{CellFaults, CellPlan};
 use imrs_protocol::rules::Rules;
@@ -36,7 +39,6 @@ pub(super) fn uncovered(plan: &CellPlan, faults: &CellFaults) -> Option<&'static
     let found = [
         (!faults.pause.is_empty(), "pauses"),
         (faults.drift > 0, "drift"),
-        (!faults.crash.is_empty(), "crashes"),
         (plan.step > 1, "ticks of the model that are longer than those of the cell"),
         (plan.table.cell().rules != Rules::default(), "variants of the rules"),
     ];

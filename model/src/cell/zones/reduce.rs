@@ -1,46 +1,58 @@
 //! What a search by zones leaves out, beside what every search of a cell does.
 
-use super::runner::Runner;
+use super::runner::{Run, Runner};
 use crate::cell::run_state::CellMove;
 use crate::cell_state::script::Running;
-use crate::zone::forks::{Forks, decided, symbol_of};
+use crate::state::Violation;
+use crate::zone::dbm::Dbm;
+use crate::zone::forks::{Forks, decided};
+use crate::zone::times::symbol_of;
 use imrs_protocol::Ticks;
 use imrs_protocol::symbolic::{self, START, Symbol};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
+/// The moves that are left at a point of the runs from one state.
+pub(super) struct LeftOut {
+    /// The answers until there, and how many moves were made.
+    answers: Vec<u16>,
+    made: usize,
+    moves: Vec<CellMove>,
+}
+
 impl Runner {
     /// Drops the moves that lose a packet whose arrival changes nothing, as the search at every tick does: the arrival leads to the
     /// same control and the same times, with more faults left. Where the times decide what an arrival does, the moves stay.
-    pub(super) fn leave_out(&mut self, forks: &Forks, now: (u8, i64), moves: &mut Vec<CellMove>) {
+    ///
+    /// # Errors
+    /// The state has no packed form.
+    pub(super) fn leave_out(
+        &mut self,
+        forks: &Forks,
+        run: &Run,
+        moves: &mut Vec<CellMove>,
+    ) -> Result<(), Violation> {
         let mut taken: Vec<u8> = moves.iter().filter_map(|&step| takes_away(step)).collect();
         taken.dedup();
         if self.is_plain || taken.is_empty() {
-            return;
+            return Ok(());
         }
-        // To pack a state clears what is dead, and leaves what follows from it as it was: then no run goes on with it.
-        let other = &mut self.other;
-        other.clone_from(&self.run_state);
-        forks.cut().begin_to_pack(now);
-        if other.pack().is_err() {
-            return;
+        // To pack a state clears what is dead, and leaves what follows from it as it was. So the run goes on with what was packed.
+        forks.cut().begin_to_pack((START, run.now));
+        self.run_state.pack()?;
+        forks.cut().begin_to_read();
+        self.run_state.load_packed();
+        // Another run from the same state with the same answers was here.
+        let answers = forks.cut().answers();
+        let known = self.left.iter().find(|left| left.made == run.moves.len() && left.answers == answers);
+        if let Some(known) = known {
+            moves.clone_from(&known.moves);
+            return Ok(());
         }
-        let control: Box<[u8]> = other.packed().into();
         let zone = forks.cut().state();
         let beside = &self.run_state.beside;
         let waits = !beside.stays.is_empty() || beside.slow != 0 || !beside.crashed.is_empty();
-        other.cell.is_sampled = false;
         for &i in &taken {
-            let comes =
-                |step: &&CellMove| matches!(**step, CellMove::Deliver(at) | CellMove::Mend(at, _) if at == i);
-            let Some(&arrives) = moves.iter().find(comes) else { continue };
-            let without = decided(&zone, || {
-                other.load(&control);
-                Some(other.without(i))
-            });
-            let with = decided(&zone, || {
-                catch_unwind(AssertUnwindSafe(|| other.after(&control, arrives))).unwrap_or_default()
-            });
-            if without.is_none() || with != without {
+            if !self.changes_nothing(&zone, i, moves) {
                 continue;
             }
             let cut = moves.contains(&CellMove::Vanish(i));
@@ -49,6 +61,32 @@ impl Runner {
                 CellMove::Mend(at, _) => at != i || !cut || waits,
                 _ => true,
             });
+        }
+        self.left.push(LeftOut { answers, made: run.moves.len(), moves: moves.clone() });
+        Ok(())
+    }
+
+    /// Whether the arrival of a packet leads to the state without the packet, at the same times. The state before was packed last.
+    fn changes_nothing(&mut self, zone: &Dbm, packet: u8, moves: &[CellMove]) -> bool {
+        let comes = |step: &&CellMove| matches!(**step, CellMove::Deliver(at) | CellMove::Mend(at, _) if at == packet);
+        let Some(&arrives) = moves.iter().find(comes) else { return false };
+        let Self { run_state, other, start, .. } = self;
+        let control = run_state.packed();
+        other.cell.is_sampled = false;
+        let without = decided(zone, || {
+            other.load(control);
+            other.without(packet)
+        });
+        let Some((without, times)) = without else { return false };
+        let with = decided(zone, || catch_unwind(AssertUnwindSafe(|| other.after(control, arrives))));
+        match with {
+            Some((Ok(with), after)) => with == Some(without) && after == times,
+            // A step that panics may leave anything behind.
+            Some((Err(_), _)) => {
+                other.clone_from(start);
+                false
+            }
+            None => false,
         }
     }
 

@@ -1,5 +1,6 @@
 //! Runs the moves of a cell on symbolic times, from one kept state to the next.
 
+use super::reduce::LeftOut;
 use crate::cell::judge::{Reached, Shown, judge, nothing_reached};
 use crate::cell::plan::{CellFaults, CellPlan};
 use crate::cell::run_state::canon::Left;
@@ -10,12 +11,13 @@ use crate::cell::waiting::for_ever;
 use crate::state::Violation;
 use crate::zone::dbm::Dbm;
 use crate::zone::forks::{Forks, again};
+use crate::zone::times::symbol_of;
 use imrs_protocol::symbolic::{self, START, Symbol};
 use imrs_protocol::{Instant, Ticks};
 use std::sync::Arc;
 
 /// The first byte of a control: whether time passes next, or several moves are possible.
-const QUIET: u8 = 1;
+pub(super) const QUIET: u8 = 1;
 const CHOICE: u8 = 0;
 
 /// Moves without an alternative before a state is kept in any case.
@@ -55,6 +57,14 @@ impl Run {
         self.hits.extend(new.map(|shown| (shown, at)));
     }
 
+    /// Notes that the state at its end has no packed form.
+    fn has_no_form(&mut self, violation: Violation) {
+        match violation {
+            Violation::Overflow => self.outgrown = true,
+            _ => self.note(Some(Shown::whole(Kind::Machine, violation.text()))),
+        }
+    }
+
     /// Whether one time has passed, and nothing else has happened.
     fn is_untouched(&self) -> bool {
         let mut later = self.moves.iter().skip(1);
@@ -71,10 +81,12 @@ const fn puts_off(step: CellMove) -> bool {
 pub struct Runner {
     phase: Phase,
     /// The cell at its start, without symbols.
-    start: RunState,
+    pub(super) start: RunState,
     pub(super) run_state: RunState,
     /// For states beside the run.
     pub(super) other: RunState,
+    /// What was left out in the runs from the present state.
+    pub(super) left: Vec<LeftOut>,
     /// Whether no reduction is made that only a search by zones makes.
     pub(super) is_plain: bool,
     /// The bounds on the time that may pass, in the state in which a run begins with the passing of time.
@@ -94,6 +106,7 @@ impl Runner {
             phase,
             run_state: start.clone(),
             other: start.clone(),
+            left: Vec::new(),
             start,
             is_plain: plan.everything,
             limits: Vec::new(),
@@ -108,16 +121,22 @@ impl Runner {
         self.start.split(control.get(1..).unwrap_or_default())
     }
 
+    /// Forgets what was found out in the runs from one state, before those from another one.
+    pub fn begin_state(&mut self) {
+        self.left.clear();
+    }
+
     /// Runs once, by the answers of `forks`. `is_sampled`: whether the invariants of the machines are checked.
     pub fn run(&mut self, forks: &Forks, from: From<'_>, is_sampled: bool) -> Run {
-        // Nothing of an earlier run stays: its symbols mean something else now.
-        self.run_state.clone_from(&self.start);
-        self.run_state.cell.is_sampled = is_sampled;
         self.limits.clear();
         let mut run = Run::default();
         let mut step = None;
+        self.run_state.cell.is_sampled = is_sampled;
         match from {
-            From::Start => self.look(&mut run),
+            From::Start => {
+                self.run_state.clone_from(&self.start);
+                self.look(&mut run);
+            }
             From::Kept(control) => {
                 self.run_state.load(control.get(1..).unwrap_or_default());
                 if control.first() == Some(&QUIET) {
@@ -151,6 +170,7 @@ impl Runner {
             }
             moves.clear();
             self.run_state.moves(&mut moves);
+            moves.retain(|&step| !self.must_end(forks, step));
             if !moves.iter().any(|step| !matches!(step, CellMove::Crash(_) | CellMove::Restart(_))) {
                 run.note(for_ever(&self.run_state, false));
                 run.gets_on = true;
@@ -161,8 +181,10 @@ impl Runner {
             if !run.moves.is_empty() {
                 run.note(for_ever(&self.run_state, true));
             }
-            if moves.len() > 1 {
-                self.leave_out(forks, (START, run.now), &mut moves);
+            if moves.len() > 1
+                && let Err(violation) = self.leave_out(forks, run, &mut moves)
+            {
+                return run.has_no_form(violation);
             }
             let taken = match moves[..] {
                 [CellMove::Pass] => CellMove::Pass,
@@ -178,7 +200,29 @@ impl Runner {
             if taken == CellMove::Pass {
                 return self.be_silent(forks, run);
             }
+            self.take_times(forks, taken);
             step = Some(taken);
+        }
+    }
+
+    /// The most time of the action that goes on in a move.
+    fn most_of(&self, step: CellMove) -> Option<Ticks> {
+        let CellMove::GoOn(task, level) = step else { return None };
+        let actor = self.run_state.cell.bodies[usize::from(task)].actor.as_ref()?;
+        actor.runs(level).map(|action| action.most)
+    }
+
+    /// Whether the action that goes on in this move must end.
+    fn must_end(&self, forks: &Forks, step: CellMove) -> bool {
+        self.most_of(step).is_some_and(|most| forks.cut().is_surely_at_most(most, Ticks::ZERO))
+    }
+
+    /// Keeps the times at which a move is possible.
+    fn take_times(&self, forks: &Forks, step: CellMove) {
+        let most = self.most_of(step).and_then(symbol_of);
+        if let Some(Symbol { first, second, offset }) = most {
+            let goes_on = Symbol { first, second, offset: offset - 1 };
+            forks.cut().keep(goes_on).expect("some time is left");
         }
     }
 
@@ -253,8 +297,7 @@ impl Runner {
                 let control = [&[kind], self.run_state.packed()].concat();
                 run.control = Some(control.into());
             }
-            Err(Violation::Overflow) => run.outgrown = true,
-            Err(violation) => run.note(Some(Shown::whole(Kind::Machine, violation.text()))),
+            Err(violation) => run.has_no_form(violation),
         }
     }
 }

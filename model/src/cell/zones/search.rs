@@ -1,14 +1,18 @@
-//! Expands kept states, breadth first.
+//! Expands kept states, the earliest first: so zones that are reached at about the same time are joined before they are expanded.
 
 use super::runner::{From, Run, Runner};
 use super::still::Walks;
 use super::store::{Origin, Store};
 use crate::cell::judge::Shown;
 use crate::cell::plan::CellPlan;
+use crate::cell::progress::{SearchProgress, SoFar};
 use crate::cell::run_state::canon::Left;
 use crate::explore::resident_bytes;
+use crate::side_by_side::side_by_side;
 use crate::zone::dbm::Dbm;
 use crate::zone::forks::{Cut, each};
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
 /// A finding of a run from a kept state.
@@ -21,14 +25,18 @@ pub(super) struct Hit {
     pub moves: usize,
 }
 
-/// States that are expanded between two looks at the budget.
+/// The most states that are expanded side by side.
 const BATCH: usize = 64;
+
+/// Batches between two looks at the memory in use.
+const LOOK: u64 = 32;
 
 /// One state in so many is in the sample, for which the invariants of the machines are checked.
 const SAMPLE: u32 = 16;
 
 pub(super) struct Search {
-    pub runner: Runner,
+    /// A runner for each thread.
+    pub runners: Vec<Runner>,
     pub store: Store,
     pub hits: Vec<Hit>,
     pub walks: Walks,
@@ -39,62 +47,76 @@ pub(super) struct Search {
 }
 
 impl Search {
-    pub fn new(runner: Runner) -> Self {
-        let (store, walks) = (Store::default(), Walks::default());
-        Self { runner, store, hits: Vec::new(), walks, inexact: 0, outgrown: false, longest: 0 }
+    /// `most`: the most zones of one control.
+    pub fn new(runners: Vec<Runner>, most: usize) -> Self {
+        let (store, walks) = (Store::new(most), Walks::default());
+        Self { runners, store, hits: Vec::new(), walks, inexact: 0, outgrown: false, longest: 0 }
     }
 
-    /// Searches until no state is left, or returns the budget that ended the search.
-    pub fn run(&mut self, plan: &CellPlan, start: Instant) -> Option<String> {
+    /// Searches until no state is left, or returns the budget that ended the search. The result is the same for any number of
+    /// threads.
+    pub fn run(
+        &mut self,
+        plan: &CellPlan,
+        (start, progress): (Instant, &dyn SearchProgress),
+    ) -> Option<String> {
         let budget = plan.budget;
-        self.expand(None);
-        let mut done = 0_usize;
-        loop {
-            if done.is_multiple_of(BATCH) {
-                if start.elapsed().as_secs_f64() > budget.seconds {
-                    return Some(format!("out of time ({} s)", budget.seconds));
-                }
-                if resident_bytes().is_some_and(|bytes| bytes > budget.bytes) {
-                    return Some(format!("out of memory ({} MiB)", budget.bytes >> 20));
-                }
+        let first = self.runners[0].expand(&self.store, None);
+        self.take_in(None, first);
+        let mut done = 0;
+        for batches in 0_u64.. {
+            let seconds = start.elapsed().as_secs_f64();
+            if seconds > budget.seconds {
+                return Some(format!("out of time ({} s)", budget.seconds));
             }
-            done += 1;
-            if done as u64 > budget.states {
-                return Some(format!("{} states", budget.states));
+            if batches.is_multiple_of(LOOK) && resident_bytes().is_some_and(|bytes| bytes > budget.bytes) {
+                return Some(format!("out of memory ({} MiB)", budget.bytes >> 20));
             }
-            let runner = &self.runner;
-            let state = self.store.next(|control| core(runner, control).1)?;
-            self.expand(Some(state));
+            let (states, open) = (self.store.states.len() as u64, self.store.open() as u64);
+            progress.states(&SoFar { states, open, seconds, at_most_seconds: budget.seconds });
+            let runner = &self.runners[0];
+            let most = usize::try_from(budget.states - done).unwrap_or(usize::MAX).min(BATCH);
+            let batch = self.store.next(most, |control| core(runner, control).1);
+            if batch.is_empty() {
+                return (most == 0 && open > 0).then(|| format!("{} states", budget.states));
+            }
+            done += batch.len() as u64;
+            for (&at, runs) in batch.iter().zip(self.expand(&batch)) {
+                self.take_in(Some(at), runs);
+            }
         }
+        None
     }
 
-    /// Runs from a kept state, or from the start, in all ways that its times allow.
-    fn expand(&mut self, at: Option<u32>) {
-        let Self { runner, store, .. } = self;
-        let (zone, control, depth) = match at.and_then(|at| store.states.get(at as usize)) {
-            Some(state) => {
-                (state.zone.clone(), store.controls[state.control as usize].clone(), state.depth + 1)
+    /// The runs from each state of a batch.
+    fn expand(&mut self, batch: &[u32]) -> Vec<Vec<(Run, Way)>> {
+        let Self { runners, store, .. } = self;
+        if let [only] = batch {
+            return vec![runners[0].expand(store, Some(*only))];
+        }
+        let done: Vec<OnceLock<Vec<(Run, Way)>>> = batch.iter().map(|_| OnceLock::new()).collect();
+        let next = AtomicUsize::new(0);
+        let work = |runner: &mut Runner| {
+            while let at = next.fetch_add(1, Ordering::Relaxed)
+                && let Some(&state) = batch.get(at)
+            {
+                // Only one thread takes this state, so the place is empty.
+                let _ = done[at].set(runner.expand(store, Some(state)));
             }
-            None => (Some(Dbm::zero()), Box::default(), 0),
         };
-        let Some(zone) = zone else { return };
-        let from = if at.is_some() { From::Kept(&control) } else { From::Start };
-        let mut runs = Vec::new();
-        each(
-            &zone,
-            |forks| runner.run(forks, from, is_sampled(at)),
-            |run, cut: &Cut| {
-                let zone = run.control.is_some().then(|| cut.state());
-                runs.push((run, Way { answers: cut.answers().into(), zone, is_exact: cut.is_exact() }));
-            },
-        );
+        side_by_side(runners.iter_mut().take(batch.len()), work);
+        done.into_iter().filter_map(OnceLock::into_inner).collect()
+    }
+
+    fn take_in(&mut self, parent: Option<u32>, runs: Vec<(Run, Way)>) {
+        let depth = parent.map_or(0, |at| self.store.states[at as usize].depth + 1);
         for (run, way) in runs {
-            self.take_in(at, depth, run, way);
+            self.take_in_run(parent, depth, run, way);
         }
     }
 
-    fn take_in(&mut self, parent: Option<u32>, depth: u32, run: Run, way: Way) {
-        let Way { answers, zone, is_exact } = way;
+    fn take_in_run(&mut self, parent: Option<u32>, depth: u32, run: Run, way: Way) {
+        let Way { answers, zone, is_exact, since } = way;
         self.inexact += u64::from(!is_exact);
         self.outgrown |= run.outgrown;
         for (shown, moves) in run.hits {
@@ -105,8 +127,8 @@ impl Search {
         let mut to = Vec::new();
         if let (Some(control), Some(zone)) = (run.control, zone) {
             self.longest = self.longest.max(control.len());
-            let core = core(&self.runner, &control);
-            to = self.store.insert(control, core, Origin { parent, answers, zone }, depth);
+            let core = core(&self.runners[0], &control);
+            to = self.store.insert(control, core, Origin { parent, answers, zone }, (depth, since));
         }
         // A run in which only time has passed leads to its own state.
         let leads = run.gets_on || !to.is_empty();
@@ -116,12 +138,41 @@ impl Search {
     }
 }
 
+impl Runner {
+    /// Runs from a kept state, or from the start, in all ways that its times allow.
+    fn expand(&mut self, store: &Store, at: Option<u32>) -> Vec<(Run, Way)> {
+        let mut runs = Vec::new();
+        let (zone, from, before) = match at.map(|at| &store.states[at as usize]) {
+            Some(state) => {
+                (state.zone.clone(), From::Kept(&store.controls[state.control as usize]), state.since)
+            }
+            None => (Some(Dbm::zero()), From::Start, 0),
+        };
+        let Some(zone) = zone else { return runs };
+        self.begin_state();
+        each(
+            &zone,
+            |forks| self.run(forks, from, is_sampled(at)),
+            |run: Run, cut: &Cut| {
+                let zone = run.control.is_some().then(|| cut.state());
+                let passes = run.silent_until.map_or(run.now, |until| cut.least(until));
+                let since = before.saturating_add(passes.unsigned_abs());
+                let answers = cut.answers().into();
+                runs.push((run, Way { answers, zone, is_exact: cut.is_exact(), since }));
+            },
+        );
+        runs
+    }
+}
+
 /// How the times of a run went.
 struct Way {
     answers: Box<[u16]>,
     /// The times of the state at its end.
     zone: Option<Dbm>,
     is_exact: bool,
+    /// The least time since the start at which it ends, as far as is known.
+    since: u64,
 }
 
 /// Whether the invariants of the machines are checked in the runs from a state.
@@ -130,7 +181,7 @@ pub(super) fn is_sampled(at: Option<u32>) -> bool {
 }
 
 /// The remaining faults of a control, and the rest of it.
-fn core(runner: &Runner, control: &[u8]) -> (Left, Box<[u8]>) {
+pub(super) fn core(runner: &Runner, control: &[u8]) -> (Left, Box<[u8]>) {
     let (left, core) = runner.split(control);
     (left, [control.get(..1).unwrap_or_default(), core].concat().into())
 }

@@ -1,0 +1,101 @@
+//! Looks up the states of random walks at plain ticks among the kept zones.
+//!
+//! Between two instants of a walk its state must be in a kept zone of its control. One difference is none: plain ticks do not count
+//! how long ago the least time of an action was, and zones do. So a least time that is zero is looked up as any time that is over.
+
+use super::concrete::at_every_tick;
+use super::runner::{QUIET, Runner};
+use super::search::{Search, core};
+use crate::Silent;
+use crate::cell::guard::{Agreement, Disagreement};
+use crate::cell::outside::with_programs;
+use crate::cell::plan::{CellFaults, CellPlan, Times};
+use crate::cell::run_state::CellMove;
+use crate::cell::search::timed;
+use crate::cell::unpacked::Unpacked;
+use crate::cell::verdict::Phase;
+use crate::zone::dbm::Dbm;
+use crate::zone::forks::again;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Searches a cell by zones, and looks up the states of random walks through it. `draw` returns a number below its argument.
+///
+/// # Errors
+/// [`Disagreement`]: a state of a walk that is in no kept zone.
+pub fn compare_zones_with_walks(
+    plan: &Arc<CellPlan>,
+    (walks, length): (u32, u32),
+    draw: &mut dyn FnMut(usize) -> usize,
+) -> Result<Agreement, Disagreement> {
+    let plan = timed(&with_programs(plan), Times::Zones);
+    let mut agreement = Agreement::default();
+    let hypotheses = plan.faults.iter().filter(|faults| !faults.are_none());
+    let phases = std::iter::once((Phase::FaultFree, CellFaults::default()));
+    for (phase, faults) in phases.chain(hypotheses.map(|faults| (Phase::Faults, faults.clone()))) {
+        let mut search = Search::new(vec![Runner::new(&plan, phase, &faults)], plan.most_zones);
+        let ended_by = search.run(&plan, (Instant::now(), &Silent));
+        agreement.searches += 1;
+        agreement.states += search.store.len() as u64;
+        if ended_by.is_some() || search.outgrown || faults.hide_covered_states() {
+            continue;
+        }
+        agreement.complete += 1;
+        for _ in 0..walks {
+            walk(
+                &search,
+                Unpacked::new(&at_every_tick(&plan), phase, &faults),
+                length,
+                draw,
+                &mut agreement,
+            )?;
+        }
+    }
+    Ok(agreement)
+}
+
+fn walk(
+    search: &Search,
+    mut cell: Unpacked,
+    length: u32,
+    draw: &mut dyn FnMut(usize) -> usize,
+    agreement: &mut Agreement,
+) -> Result<(), Disagreement> {
+    let mut taken = Vec::new();
+    let mut moves = Vec::new();
+    for _ in 0..length {
+        if cell.shown().iter().any(|shown| shown.last) {
+            return Ok(());
+        }
+        moves.clear();
+        cell.run_state.moves(&mut moves);
+        if moves.contains(&CellMove::Pass) {
+            agreement.looked_up += 1;
+            if !is_kept(search, &cell) {
+                return Err(Disagreement { what: "no kept zone has this state".into(), moves: taken });
+            }
+        }
+        let Some(&step) = moves.get(draw(moves.len().max(1))) else { return Ok(()) };
+        agreement.steps += 1;
+        taken.push(step);
+        cell.take(step);
+    }
+    Ok(())
+}
+
+/// Whether a kept zone has the state between two instants.
+fn is_kept(search: &Search, cell: &Unpacked) -> bool {
+    let mut between = cell.clone().without_history().run_state;
+    let ((control, over, point), _) = again(&Dbm::zero(), &[], |forks| {
+        between.cell.is_symbolic = true;
+        between.end_instant();
+        between.next_step();
+        forks.cut().begin_to_pack((0, 0));
+        let control = between.pack().map(|()| [&[QUIET], between.packed()].concat());
+        let cut = forks.cut();
+        (control, cut.times().over().to_vec(), cut.state())
+    });
+    let Ok(control) = control else { return true };
+    let (left, core) = core(&search.runners[0], &control);
+    search.store.zones(left, &core).any(|zone| zone.reaches(&point.point(), &over))
+}
