@@ -73,7 +73,7 @@ impl ScriptHost {
 
     /// The GET that the script makes next if the REPLY is accepted that [`next`](Self::next) returned last, for a driver that makes
     /// both at once (D200) and then calls [`made`](Self::made). `None` if something else comes first, or the script has taken nearly
-    /// all its steps. The driver's outbox is not told of the acceptance, the GET and the statements before it.
+    /// all its steps. The driver's outbox does not hear about the acceptance, the GET and the statements before it.
     #[must_use]
     #[inline]
     pub fn get_after_reply(&self) -> Option<(Address, Request)> {

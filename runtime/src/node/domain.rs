@@ -96,7 +96,7 @@ impl Domain {
             return answers.put(member, answer);
         }
         let before = effects.called.len();
-        let fused = self.turn_of(member).ask(asked, answers, effects);
+        let fused = self.unchanged(member).ask(asked, answers, effects);
         if !effects.inside.is_empty() {
             self.work_inside(effects);
         } else if fused {
@@ -124,10 +124,15 @@ impl Domain {
     }
 
     fn turn_of(&mut self, member: usize) -> Turn<'_> {
-        let Self { members, table, homes, changed, .. } = self;
-        let mut turn = Turn { members, member, table, homes, changed };
+        let mut turn = self.unchanged(member);
         turn.change(member);
         turn
+    }
+
+    /// As [`turn_of`](Self::turn_of), for a member that says itself whether it changes.
+    fn unchanged(&mut self, member: usize) -> Turn<'_> {
+        let Self { members, table, homes, changed, .. } = self;
+        Turn { members, member, table, homes, changed }
     }
 }
 
@@ -264,8 +269,14 @@ impl Turn<'_> {
             && self.catch_up_with(at)
             && self.fuse((request, then), &mut ToFutures { own, answers }, effects)
         {
+            // An answer, and a wait without a time_out, bring the task no new deadline.
+            let last = then.unwrap_or(request);
+            if !matches!(last, Request::Reply { .. } | Request::Get { time_out: None, .. }) {
+                self.change(own);
+            }
             return true;
         }
+        self.change(own);
         let input = request.map_or(Input::Time, |&request| Input::Request(request));
         let mut answer = self.take(Stamped { at, input }, effects);
         if let (Some(&get), Some(Signal::Accepted(_))) = (then, answer.map(|answer| answer.signal)) {

@@ -62,13 +62,15 @@ impl Turn<'_> {
         if !is_done {
             return false;
         }
-        if out.told {
-            match there.run_by {
-                RunBy::AnyThread => effects.inside.told(there),
-                RunBy::TheThreadOfFutures | RunBy::ItsThread => effects.called.push(there.place()),
-            }
+        if !out.told {
+            self.change(there.member());
+            return true;
         }
-        self.change(there.member());
+        // Its wait is over, and nothing else of it expires: what it has published still comes no later than its next expiry.
+        match there.run_by {
+            RunBy::AnyThread => effects.inside.told(there),
+            RunBy::TheThreadOfFutures | RunBy::ItsThread => effects.called.push(there.place()),
+        }
         true
     }
 }
@@ -109,7 +111,7 @@ struct Fused<'a, S> {
     /// Of the task itself, and of the other one.
     rings: (&'a mut Ring, &'a mut Ring),
     signals: &'a mut S,
-    /// Whether the task makes another request once this one is accepted, so that it is not told of that.
+    /// Whether the task makes another request once this one is accepted, and gets no signal about that.
     goes_on: bool,
     other: (usize, &'a mut Option<Box<ScriptRunner>>),
     /// Whether the other task was told something.
