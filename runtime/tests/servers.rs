@@ -85,9 +85,10 @@ fn one_call_does_what_two_do() {
     assert_eq!(counted(|node| node.task("b", on_a_thread)), expected);
 }
 
-/// An asker that gives up its first question, says so, and asks again.
+/// An asker that gives up a question, says so, and asks again. It has asked before: its earlier deadline is still published.
 async fn impatient(mut ctx: AsyncContext) -> Result<(), TaskError> {
     let (ask, gone) = (ctx.port("ask")?, ctx.port("gone")?);
+    assert_eq!(ctx.send(ask, b"0").await?.reply().expect("an answer").as_bytes(), b"zero");
     let short = Some(Duration::from_millis(20));
     let sent = ctx.send_with(ask, Target::All, b"1", short).await?;
     assert_eq!(sent, Sent::Outcome(Outcome::TimedOutUnknown));
@@ -107,7 +108,8 @@ fn with_an_impatient_asker() -> Builder {
 fn after_an_answer_that_is_late_nothing_is_received() {
     let node = with_an_impatient_asker().async_task("b", |mut ctx: AsyncContext| async move {
         let (ask, gone) = (ctx.port("ask")?, ctx.port("gone")?);
-        let first = ctx.receive(Some(ask), None).await?.expect("a question");
+        let zero = ctx.receive(Some(ask), None).await?.expect("a question");
+        let first = ctx.reply_and_receive(&zero.from, b"zero", Some(ask), None).await?.expect("another");
         ctx.receive(Some(gone), None).await?;
         let late = ctx.reply_and_receive(&first.from, b"one", Some(ask), None).await;
         assert_eq!(late, Err(RequestFault(Fault::Late).into()));
@@ -117,7 +119,8 @@ fn after_an_answer_that_is_late_nothing_is_received() {
     finish(node.start().unwrap());
     let node = with_an_impatient_asker().task("b", |ctx: &mut Context| {
         let (ask, gone) = (ctx.port("ask")?, ctx.port("gone")?);
-        let first = ctx.receive(Some(ask), None)?.expect("a question");
+        let zero = ctx.receive(Some(ask), None)?.expect("a question");
+        let first = ctx.reply_and_receive(&zero.from, b"zero", Some(ask), None)?.expect("another");
         ctx.receive(Some(gone), None)?;
         let late = ctx.reply_and_receive(&first.from, b"one", Some(ask), None);
         assert_eq!(late, Err(RequestFault(Fault::Late).into()));
