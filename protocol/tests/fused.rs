@@ -1,5 +1,5 @@
 //! Compares fused steps with the small steps that they stand for, on random cells: after every input, state, signals
-//! and observations must be equal (D176).
+//! and observations must be equal (D176, D200).
 
 use crate::support::plan::{Plan, plans};
 use imrs_protocol::*;
@@ -109,7 +109,18 @@ impl Run {
         let back = if b.is_multiple_of(8) { usize::from(a) } else { 0 };
         let Some(&to) = got.iter().rev().nth(back % got.len().max(1)) else { return };
         let contents = Contents::new(&b.to_le_bytes()).expect("short");
-        self.ask(task, Request::Reply { to, contents }, counts);
+        let reply = Request::Reply { to, contents };
+        // A server answers and gets its next message, of the same port, another one or any.
+        let own = self.table.ports_of(task);
+        let time_out = (a & 0x30 == 0).then(|| Ticks(u64::from(a % 5)));
+        let source = (a & 0x300 == 0).then_some(to.source);
+        let port = match a % 4 {
+            0 => return self.ask(task, reply, counts),
+            1 => None,
+            2 => own.get(usize::from(b) % own.len().max(1)).copied(),
+            _ => Some(to.port),
+        };
+        self.ask_both(task, [reply, Request::Get { port, source, time_out }], counts);
     }
 
     fn request(&mut self, task: TaskId, a: u16, b: u16, counts: &mut Counts) {
@@ -160,9 +171,26 @@ impl Run {
         let to = if b & 0x1000 == 0 { Target::One(receiver) } else { Target::All };
         self.ask(receiver, get, counts);
         self.ask(sender, Request::Send { port: id, to, contents, time_out }, counts);
+        if b & 0x4000 != 0 {
+            self.leave(receiver, a, counts);
+        }
         if b & 0x6000 != 0 {
             self.answer(receiver, a, b, counts);
         }
+    }
+
+    /// Another task sends this one a message, which waits.
+    fn leave(&mut self, task: TaskId, a: u16, counts: &mut Counts) {
+        let receives = |id: &&PortId| {
+            let party = self.table.port(**id).and_then(|port| port.party(task));
+            party.is_some_and(|party| matches!(party.usage, Usage::Receive | Usage::Response))
+        };
+        let own: Vec<PortId> = self.table.ports_of(task).iter().filter(receives).copied().collect();
+        let Some(&id) = own.get(usize::from(a) % own.len().max(1)) else { return };
+        let peers: Vec<TaskId> = self.table.port(id).expect("an own port").peers(task).collect();
+        let from = peers[usize::from(a / 16) % peers.len()];
+        let contents = Contents::new(&a.to_le_bytes()).expect("short");
+        self.ask(from, Request::Send { port: id, to: Target::One(task), contents, time_out: None }, counts);
     }
 
     /// Most members of a waitfor reach it, one after the other, and some of them with less patience.
@@ -181,6 +209,30 @@ impl Run {
     fn ask(&mut self, task: TaskId, request: Request, counts: &mut Counts) {
         let at = self.table.location(task).expect("located");
         self.both(at.index(), NodeInput::Request(task, request), counts);
+    }
+
+    /// Compares a REPLY and a GET as one fused step with their small steps, and goes on after both.
+    fn ask_both(&mut self, task: TaskId, requests: [Request; 2], counts: &mut Counts) {
+        let at = self.table.location(task).expect("located").index();
+        self.nodes[at].step(self.now, NodeInput::Time, &mut Did::default());
+        let (mut fused, mut small) = (self.nodes[at].clone(), self.nodes[at].clone());
+        let (mut expected, mut found) = (Did::default(), Did::default());
+        let [reply, get] = &requests;
+        if fused.reply_and_get(task, [reply, get], &mut found) {
+            for request in requests {
+                small.small_steps(self.now, NodeInput::Request(task, request), &mut expected);
+            }
+            *counts.entry("reply and get").or_default() += 1;
+            let got = |effect: &Effect| matches!(effect, Effect::Told(_, Signal::Message(_)));
+            *counts.entry("reply and message").or_default() += u32::from(found.0.iter().any(got));
+            assert_eq!(state(&fused), state(&small), "{requests:?}");
+            assert_eq!(fused.time_left(), small.time_left(), "{requests:?}");
+            assert_eq!(found, expected, "{requests:?}");
+        } else {
+            assert_eq!(state(&fused), state(&self.nodes[at]), "{requests:?} changed the state");
+            assert_eq!(found, Did::default(), "{requests:?} had effects");
+        }
+        requests.into_iter().for_each(|request| self.ask(task, request, counts));
     }
 
     /// Gives the input to a copy of the node by small steps, and to the node itself, and compares the two.
@@ -236,6 +288,7 @@ fn name(table: &CellTable, request: &Request) -> &'static str {
             _ => "command",
         },
         Request::Arrive { .. } => "arrival",
+        Request::Get { .. } => "get",
         Request::Reply { to, .. } if of(to.port).is_some_and(|(usage, _)| queries(usage)) => "response",
         _ => "reply",
     }
@@ -259,8 +312,10 @@ fn a_fused_step_equals_the_small_steps() {
             run.step(op, &mut counts);
         }
     }
-    for kind in ["command", "status", "query", "reply", "response", "arrival", "meeting"] {
+    let singles = ["command", "status", "query", "reply", "response", "arrival", "meeting", "get"];
+    let least = singles.map(|kind| (kind, 1000)).into_iter();
+    for (kind, least) in least.chain([("reply and get", 1000), ("reply and message", 60)]) {
         let times = counts.get(kind).copied().unwrap_or_default();
-        assert!(times >= 1000, "{kind}: only {times} of {counts:?}");
+        assert!(times >= least, "{kind}: only {times} of {counts:?}");
     }
 }

@@ -20,6 +20,7 @@ mod ready;
 mod recorder;
 mod replay;
 mod scripts;
+mod servers;
 mod time;
 mod udp;
 mod watching;

@@ -218,11 +218,13 @@ fn last_line(report: &Report, took: Duration, out: &mut Output) -> Result<(), Fa
     let states: u64 = report.claims.iter().map(|v| v.states).sum();
     let style = if good == all { GOOD } else { BAD };
     let what = Styled(style, format!("{good} of {all} as expected"));
-    let Compared { messages, answers, arrivals, meetings } = compared();
-    if messages + answers + arrivals > 0 {
+    let Compared { messages, answers, arrivals, meetings, gets, pairs } = compared();
+    if messages + answers + arrivals + gets > 0 {
         let [messages, answers] = [count(messages, "message"), count(answers, "answer")];
         let [arrivals, meetings] = [count(arrivals, "arrival"), count(meetings, "meeting")];
-        let what = format!("{messages}, {answers} and {arrivals} ({meetings})");
+        let [gets, pairs] = [count(gets, "GET"), count(pairs, "pair")];
+        let what =
+            format!("{messages}, {answers}, {gets}, {pairs} of answer and GET, and {arrivals} ({meetings})");
         out.line(format!("fused steps: {what} had the same effects as their small steps"))?;
     }
     out.line(format!("{what}, {} in {:.1} s", count(states, "state"), took.as_secs_f64()))

@@ -72,8 +72,9 @@ pub fn ask(ctx: &mut Context, contents: &[u8], times: u32, group: u32) -> Result
 
 /// Answers until the node stops.
 pub fn answer(ctx: &mut Context) -> Result<(), TaskError> {
-    while let Some(message) = ctx.receive(Some(ASK), None)? {
-        ctx.reply(&message.from, message.contents.as_bytes())?;
+    let mut next = ctx.receive(Some(ASK), None)?;
+    while let Some(message) = next {
+        next = ctx.reply_and_receive(&message.from, message.contents.as_bytes(), Some(ASK), None)?;
     }
     Ok(())
 }
@@ -97,8 +98,9 @@ pub async fn ask_as_future(ctx: &mut AsyncContext, times: u32, group: u32) -> Re
 
 /// Does what [`answer`] does, in a task that is a future.
 pub async fn answer_as_future(mut ctx: AsyncContext) -> Result<(), TaskError> {
-    while let Some(message) = ctx.receive(Some(ASK), None).await? {
-        ctx.reply(&message.from, message.contents.as_bytes())?;
+    let mut next = ctx.receive(Some(ASK), None).await?;
+    while let Some(message) = next {
+        next = ctx.reply_and_receive(&message.from, message.contents.as_bytes(), Some(ASK), None).await?;
     }
     Ok(())
 }

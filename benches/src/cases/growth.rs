@@ -2,7 +2,7 @@
 
 use super::cells::{self, A, ASK, B, LONG_TICKS};
 use super::floors::GROUP;
-use super::handoff::machine_round_trip;
+use super::handoff::{machine_round_trip, machine_waits};
 use crate::sample::{Sample, each};
 use crate::suite::{Effort, Goal, Row, Stat, Suite};
 use crate::{cores, memory};
@@ -145,6 +145,7 @@ fn ask_on(effort: Effort, table: &Arc<CellTable>, port: PortId) -> Sample {
     let table = NodeTable::new(Arc::clone(table), NodeId(0));
     let mut node = Node::new(table, Incarnation(0), false, 4);
     let contents = Contents::new(&cells::FULL).expect("12 bytes fit");
+    machine_waits(&mut node, port);
     each(effort.of(50_000), GROUP, || machine_round_trip(&mut node, port, contents))
 }
 

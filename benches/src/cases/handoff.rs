@@ -227,16 +227,21 @@ impl NodeOutbox for Told {
     }
 }
 
-/// A round trip on this port through the state machine of a node whose first two tasks are A and B.
+/// B waits for a message on this port.
+pub fn machine_waits(node: &mut Node, port: PortId) {
+    let get = Request::Get { port: Some(port), source: None, time_out: None };
+    node.step(node.now(), NodeInput::Request(B, get), &mut Told::default());
+}
+
+/// A round trip on this port through the state machine of a node whose first two tasks are A and B. B [waits](machine_waits) before and after.
 pub fn machine_round_trip(node: &mut Node, port: PortId, contents: Contents) {
     let mut told = Told::default();
-    let get = Request::Get { port: Some(port), source: None, time_out: None };
-    node.step(node.now(), NodeInput::Request(B, get), &mut told);
     let send = Request::Send { port, to: Target::All, contents, time_out: None };
     node.step(node.now(), NodeInput::Request(A, send), &mut told);
     let Some(Signal::Message(message)) = told.0[1] else { panic!("B was told {:?}", told.0[1]) };
     let reply = Request::Reply { to: message.from, contents: message.contents };
-    node.step(node.now(), NodeInput::Request(B, reply), &mut told);
+    let get = Request::Get { port: Some(port), source: None, time_out: None };
+    assert!(node.reply_and_get(B, [&reply, &get], &mut told), "a fused step");
     assert!(matches!(told.0[0], Some(Signal::Outcome(_))), "A was told {:?}", told.0[0]);
 }
 
@@ -244,6 +249,7 @@ fn machine(effort: Effort, usage: Usage) -> Sample {
     let table = NodeTable::new(cells::asking(1, usage), NodeId(0));
     let mut node = Node::new(table, Incarnation(0), false, 4);
     let contents = Contents::new(&cells::FULL).expect("12 bytes fit");
+    machine_waits(&mut node, ASK);
     each(effort.of(200_000), GROUP, || machine_round_trip(&mut node, ASK, contents))
 }
 

@@ -1,13 +1,13 @@
-//! Compares each fused step of a node with the small steps that it stands for (D176, D193).
+//! Compares each fused step of a node with the small steps that it stands for (D176, D193, D200).
 //!
 //! The search takes the small steps. Wherever a fused step applies, both are made on copies, which must then be equal: the
 //! packed state, all of the node's tasks, and everything that the node does, in its order.
 
 use super::wires::Wires;
 use super::{CellState, Effect, small};
-use crate::fused::{are_same, count, may_have};
+use crate::fused::{are_same, count, count_pair, may_have};
 use crate::state::Violation;
-use imrs_protocol::{Node, NodeId, NodeInput, NodeOutbox, Packet, Request, Signal, TaskId};
+use imrs_protocol::{Node, NodeId, NodeInput, NodeOutbox, Packet, Request, Signal, TaskId, Ticks};
 
 impl CellState {
     /// Compares the fused step of a request, if it has one, with its small steps.
@@ -17,19 +17,57 @@ impl CellState {
         }
         let here = &self.nodes[i].node;
         // Most requests have no fused step: the copy of a node is cheaper than that of a cell.
-        let may = !here.is_busy() && here.parts().tasks.len() > 1;
+        let mut may = !here.is_busy() && here.parts().tasks.len() > 1;
+        // A GET is the most frequent request, and concerns one task alone.
+        may &= self.is_sampled || !matches!(request, Request::Get { .. });
         if !may || !here.clone().fuse(task, request, &mut Unheard) {
             return Ok(());
         }
-        let (mut fused, found) =
-            self.copy_after(i, |node, out| node.step(node.now(), NodeInput::Request(task, *request), out));
-        let (mut plain, expected) = self
-            .copy_after(i, |node, out| node.small_steps(node.now(), NodeInput::Request(task, *request), out));
+        let effects = self.compare(
+            i,
+            |node, out| node.step(node.now(), NodeInput::Request(task, *request), out),
+            |node, out| node.small_steps(node.now(), NodeInput::Request(task, *request), out),
+        )?;
         let is_release = |effect: &Effect| matches!(effect, Effect::Signalled(_, Signal::Released { .. }));
-        count(request, found.iter().any(is_release));
+        count(request, effects.iter().any(is_release));
+        self.compare_pairs(i, task, request)
+    }
+
+    /// Compares an answer and a GET after it, as a fused step has them together, with the small steps of both.
+    fn compare_pairs(&self, i: usize, task: TaskId, reply: &Request) -> Result<(), Violation> {
+        let &Request::Reply { to, .. } = reply else { return Ok(()) };
+        // A wait at the port that the answer came through, and a look at all ports.
+        let wait = Request::Get { port: Some(to.port), source: None, time_out: None };
+        let look = Request::Get { port: None, source: None, time_out: Some(Ticks::ZERO) };
+        for get in [wait, look] {
+            if !self.nodes[i].node.clone().reply_and_get(task, [reply, &get], &mut Unheard) {
+                continue;
+            }
+            let fused = |node: &mut Node, out: &mut Wires<'_>| {
+                node.reply_and_get(task, [reply, &get], out);
+            };
+            self.compare(i, fused, |node, out| {
+                for request in [*reply, get] {
+                    node.small_steps(node.now(), NodeInput::Request(task, request), out);
+                }
+            })?;
+            count_pair();
+        }
+        Ok(())
+    }
+
+    /// Compares what a node does by `fused` with what it does by `plain`. Returns its effects.
+    fn compare(
+        &self,
+        i: usize,
+        fused: impl FnOnce(&mut Node, &mut Wires<'_>),
+        plain: impl FnOnce(&mut Node, &mut Wires<'_>),
+    ) -> Result<Vec<Effect>, Violation> {
+        let (mut fused, found) = self.copy_after(i, fused);
+        let (mut plain, expected) = self.copy_after(i, plain);
         let same = are_same(&fused.nodes[i].node, &plain.nodes[i].node);
         let same = same && found == expected && fused.store() == plain.store();
-        if same { Ok(()) } else { Err(Violation::Fused) }
+        if same { Ok(found) } else { Err(Violation::Fused) }
     }
 
     /// A copy in which one node has done some work, and what it did.

@@ -10,7 +10,7 @@ use crate::ids::{PortId, TaskId};
 use crate::mapping;
 use crate::request::{Request, Target};
 use crate::table::{Ends, NodeTable};
-use crate::task::{CommTask, Outbox};
+use crate::task::{CommTask, Get, Outbox};
 use alloc::collections::VecDeque;
 
 /// What a request is about that a task may take as one fused step with another task of its node (D176).
@@ -40,6 +40,24 @@ impl<'a> Fusible<'a> {
         Some(Self { ends: Ends { port, own, peer }, other: table.place(peer.task)? })
     }
 
+    /// The task `own` answers a command of `other`, and then waits for its next message or takes it: what its REPLY and its GET do,
+    /// one after the other (D200). Otherwise as [`step`](Self::step).
+    #[inline(always)]
+    pub fn reply_and_get(
+        self,
+        table: &NodeTable,
+        (own, other): (&mut CommTask, &mut CommTask),
+        [reply, get]: [&Request; 2],
+        out: &mut impl NodeOutbox,
+    ) -> bool {
+        let (&Request::Reply { to, contents }, Some(get)) = (reply, Get::of(get)) else { return false };
+        let is_done = own.may_get() && own.reply_fused(other, self.ends, (to, contents), out);
+        if is_done {
+            own.get(table, get, out);
+        }
+        is_done
+    }
+
     /// The task `own` takes the request as one step together with `other`. Both must stand at the same time, and
     /// `other` must have taken all that `own` sent before. False, and nothing has changed, if anything about it is unusual.
     #[inline(always)]
@@ -66,11 +84,32 @@ impl Node {
     pub fn fuse(&mut self, task: TaskId, request: &Request, out: &mut impl NodeOutbox) -> bool {
         let Parts { table, tasks, .. } = &mut self.parts;
         let Some(fusible) = Fusible::of(table, task, request) else {
-            return matches!(request, Request::Arrive { .. }) && self.gather(task, request, out);
+            return match request {
+                Request::Get { .. } => {
+                    table.place(task).is_some_and(|place| tasks[place].fuse_get(table, request, out))
+                }
+                Request::Arrive { .. } => self.gather(task, request, out),
+                _ => false,
+            };
         };
         let Some(place) = table.place(task) else { return false };
         let Ok([own, other]) = tasks.get_disjoint_mut([place, fusible.other]) else { return false };
         fusible.step(own, other, request, out)
+    }
+
+    /// Takes a REPLY and the GET that its task makes next as one fused step (D200): what two [`step`](Self::step)s at the node's time
+    /// do. False, and nothing has changed, if anything is unusual.
+    pub fn reply_and_get(
+        &mut self,
+        task: TaskId,
+        requests: [&Request; 2],
+        out: &mut impl NodeOutbox,
+    ) -> bool {
+        let Parts { table, tasks, .. } = &mut self.parts;
+        let Some(fusible) = Fusible::of(table, task, requests[0]) else { return false };
+        let Some(place) = table.place(task) else { return false };
+        let Ok([own, other]) = tasks.get_disjoint_mut([place, fusible.other]) else { return false };
+        fusible.reply_and_get(table, (own, other), requests, out)
     }
 
     /// Of its own, so that messages and answers do not pay for it.

@@ -6,7 +6,7 @@
 //! shortcut of the next one. So a shortcut needs no rule for faults, positions stay those of the program, and a script may go on
 //! at any operation: a state has no trace of the shortcuts.
 
-use super::program::{Address, Op, Program, StatementOutcome};
+use super::program::{Address, Fusing, Op, Program, StatementOutcome};
 use super::value::{Binary, Slot, Term, Type};
 use crate::packet::CONTENTS_BYTES;
 use alloc::boxed::Box;
@@ -34,7 +34,8 @@ pub struct Shortcut {
     pub act: Act,
     /// How many operations `act` stands for, at most.
     pub count: u8,
-    /// Where the script goes on, unless `act` itself says it: behind a jump that follows.
+    /// Where the script goes on, unless `act` itself says it: behind a jump that follows. For an [`Op::Reply`] that sends its operands,
+    /// the [`Op::Get`] that follows once it is accepted, if nothing else happens in between (D200).
     pub next: Landing,
 }
 
@@ -243,10 +244,28 @@ impl Compiler<'_> {
         };
         let after = Address::try_from(at + usize::from(count)).ok()?;
         let next = match self.program.code.get(usize::from(after)) {
+            _ if matches!(self.program.code[at], Op::Reply { .. }) => self.get_after(after),
             Some(&Op::Jump(to)) => Landing { to, count: count + 1 },
             _ => Landing { to: after, count },
         };
         Some(Shortcut { statement: false, act, count, next })
+    }
+
+    /// The GET to which a script comes from `at` after a statement that is done, if only jumps and the beginnings of statements are
+    /// before it; otherwise where that ends. Each wait begins with a full limit of operations, so none is counted.
+    fn get_after(&self, mut to: Address) -> Landing {
+        // The beginning of a statement asks for a boundary only after something else than an acceptance.
+        let is_plain = self.program.fusing == Fusing::Fused || !self.program.is_interruptible();
+        for _ in 0..MOST_BRANCHES {
+            to = match self.program.code.get(usize::from(to)) {
+                Some(&Op::Jump(to)) => to,
+                Some(Op::Statement) if is_plain => to.saturating_add(1),
+                Some(&Op::On { outcomes, to }) if outcomes.has(StatementOutcome::Done) => to,
+                Some(Op::On { .. }) => to.saturating_add(1),
+                _ => break,
+            };
+        }
+        Landing { to, count: 0 }
     }
 
     /// Where the outcomes of a statement lead.

@@ -1,6 +1,7 @@
 //! Runs a script beside its communication task: the one loop of all drivers.
 
-use super::{Address, Code, End, HOST_LIMIT, Program, Requests, Script, ScriptFault, ScriptInput};
+use super::code::Act;
+use super::{Address, Code, End, HOST_LIMIT, Op, Program, Requests, Script, ScriptFault, ScriptInput, Wait};
 use crate::ids::{PortId, TaskId};
 use crate::packet::Contents;
 use crate::request::{Call, ReplyTo, Request, Signal};
@@ -70,6 +71,25 @@ impl ScriptHost {
         self.steps = 0;
     }
 
+    /// The GET that the script makes next if the REPLY is accepted that [`next`](Self::next) returned last, for a driver that makes
+    /// both at once (D200) and then calls [`made`](Self::made). `None` if something else comes first, or the script has taken nearly
+    /// all its steps. The driver's outbox does not hear about the acceptance, the GET and the statements before it.
+    #[must_use]
+    #[inline]
+    pub fn get_after_reply(&self) -> Option<(Address, Request)> {
+        if self.steps >= HOST_LIMIT || self.input.is_some() || self.stopped {
+            return None;
+        }
+        self.script.get_after_reply(&self.program, &self.code)
+    }
+
+    /// The REPLY was accepted, and the GET of this operation is made.
+    #[inline]
+    pub fn made(&mut self, at: Address) {
+        self.steps += 1;
+        self.script.waits_in_get(at);
+    }
+
     /// The next request for the communication task. Runs the script until it has one; `None` if it waits instead.
     pub fn next(&mut self, out: &mut impl ScriptOutbox) -> Option<Request> {
         loop {
@@ -117,6 +137,32 @@ impl ScriptHost {
         self.input = None;
         self.later.clear();
         self.requests = Requests::default();
+    }
+}
+
+impl Script {
+    /// The GET that the script makes next, and its operation, if the REPLY that it waits for is accepted and nothing else happens
+    /// before that GET but beginnings of statements (D200).
+    #[must_use]
+    #[inline]
+    pub fn get_after_reply(&self, program: &Program, code: &Code) -> Option<(Address, Request)> {
+        let frame = self.top().filter(|frame| matches!(frame.wait, Wait::Signal))?;
+        let Some(Op::Reply { .. }) = program.code.get(usize::from(frame.at)) else { return None };
+        let shortcut = code.shortcut(frame.at);
+        let Act::Send(_) = shortcut.act else { return None };
+        let at = shortcut.next.to;
+        match *program.code.get(usize::from(at))? {
+            Op::Get { port, source, time_out } => Some((at, Request::Get { port, source, time_out })),
+            _ => None,
+        }
+    }
+
+    /// The REPLY was accepted, and the GET of [`get_after_reply`](Self::get_after_reply) is made: the script waits in its operation.
+    #[inline]
+    pub fn waits_in_get(&mut self, at: Address) {
+        if let Some(frame) = self.frames.get_mut(usize::from(self.level)) {
+            frame.at = at;
+        }
     }
 }
 

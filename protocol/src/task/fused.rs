@@ -1,4 +1,4 @@
-//! Fused steps: two tasks of one node exchange a message in one step (D176).
+//! Fused steps: two tasks of one node exchange a message in one step (D176), or a task answers and waits for its next message (D200).
 //!
 //! A message to a task that waits for it or whose port has room for it, and the answer to a task that waits for that, take
 //! several small steps otherwise: a request, a packet, the route, and the input of the other task. Each function here first checks that nothing unusual
@@ -7,7 +7,10 @@
 //!
 //! The checker explores the small steps, and compares both wherever a fused step applies.
 
+mod getting;
 mod meeting;
+
+pub(crate) use getting::Get;
 
 use super::CommTask;
 use super::machines::Machines;
@@ -22,6 +25,7 @@ use crate::ticks::Ticks;
 
 impl Machines {
     /// Whether nothing could interrupt the task's own thread, if it waits now or later.
+    #[inline(always)]
     fn is_plain(&self) -> bool {
         self.lease.is_none()
             && self.interrupts.depth() == 0
@@ -60,7 +64,10 @@ impl CommTask {
             && port.decl.guard.is_none()
             && !ttl.is_zero()
             && machines.interrupts.waits_for_nothing()
-            && asks.is_none_or(|request| machines.is_plain() && machines.client.is_closed(request))
+            && match asks {
+                Some(request) => machines.is_plain() && machines.client.is_closed(request),
+                None => true,
+            }
             && theirs.server.takes_fused(origin, message, their.now)
             && (awaited || (!handled && theirs.is_plain() && theirs.server.has_room(inbox)));
         if !is_usual {

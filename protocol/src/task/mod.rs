@@ -43,6 +43,7 @@ mod wait;
 mod walk;
 
 pub(crate) use fragments::Parts;
+pub(crate) use fused::Get;
 pub use step::Outbox;
 #[cfg(feature = "checker")]
 pub use walk::Coming;

@@ -106,7 +106,7 @@ impl Machines {
 
     /// Takes the most urgent message among the heads of the ports, or waits for one (procedure `get`, §5.2.1).
     #[inline]
-    fn get(
+    pub(super) fn get(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
         (port, source): (Option<PortId>, Option<TaskId>),

@@ -132,9 +132,24 @@ impl Rig {
         self.script.step(&self.program, &self.code, input, &mut with, &mut self.said);
         let same = (&script, &said, without) == (&self.script, &self.said, with);
         if same {
-            Ok(())
+            self.compare_get(script)
         } else {
             Err(format!("{input:?}: {script:?} {said:?}, not {:?} {:?}", self.script, self.said))
+        }
+    }
+
+    /// If the script says which GET it makes after its REPLY (D200), compares that with a copy of it that the REPLY's acceptance
+    /// leads there.
+    fn compare_get(&self, mut script: Script) -> Result<(), String> {
+        let Some((at, get)) = script.get_after_reply(&self.program, &self.code) else { return Ok(()) };
+        let (mut goes_on, mut said, mut requests) = (script.clone(), Said::default(), Requests::default());
+        goes_on.waits_in_get(at);
+        let accepted = ScriptInput::Signal(Signal::Accepted(1));
+        script.step(&self.program, &Code::plain(), &accepted, &mut requests, &mut said);
+        if script == goes_on && said.requests == [get] && said.words == [words(&get)] {
+            Ok(())
+        } else {
+            Err(format!("{get:?} at {at}: {script:?} {said:?}, not {goes_on:?}"))
         }
     }
 

@@ -30,7 +30,14 @@ fn each_value(code: &mut Code, change: impl Fn(&mut Compute)) {
     });
 }
 
-const FAULTS: [(&str, Planted); 16] = [
+/// The positions of the replies in a program: they say which GET follows.
+fn replies(code: &Code) -> Vec<usize> {
+    let is_reply =
+        |(_, shortcut): &(usize, &Shortcut)| matches!(shortcut.act, Act::Send(_)) && shortcut.next.count == 0;
+    code.shortcuts.iter().enumerate().filter(is_reply).map(|(at, _)| at).collect()
+}
+
+const FAULTS: [(&str, Planted); 18] = [
     ("an addition subtracts", |code| {
         each_value(code, |value| {
             if value.function == Function::Int(Binary::Add) {
@@ -109,6 +116,20 @@ const FAULTS: [(&str, Planted); 16] = [
             }
         });
     }),
+    ("after a reply comes the GET of another one", |code| {
+        let replies = replies(code);
+        let next: Vec<_> = replies.iter().map(|&at| code.shortcuts[at].next).collect();
+        for (&at, next) in replies.iter().zip(next.into_iter().cycle().skip(1)) {
+            code.shortcuts[at].next = next;
+        }
+    }),
+    ("after a reply comes the first GET of the program", |code| {
+        let first =
+            code.shortcuts.iter().position(|shortcut| !shortcut.statement && shortcut.act == Act::Get);
+        for at in replies(code) {
+            code.shortcuts[at].next.to = u16::try_from(first.unwrap_or(0)).expect("a short program");
+        }
+    }),
 ];
 
 /// An expression to generate: its kind, two variables, an operator and a number.
@@ -152,7 +173,12 @@ fn expression(
         operator => operator,
     };
     if number == -2 {
+        // Some servers: a message is answered, and the next one received.
+        let port = if kind % 2 == 0 { ASK } else { TELL };
         b.receive(TELL, Some(Ticks(3)), &[(of, x)]);
+        if kind < 4 {
+            b.reply(&[(of, x)]).receive(port, None, &[(of, x)]);
+        }
         return;
     }
     b.statement().load(x);
@@ -214,6 +240,12 @@ fn random_programs_find_faults_in_compiled_code() {
     assert!(missed.is_empty(), "{missed:?}");
 }
 
+fn is_get(code: &Code, at: u16) -> bool {
+    code.shortcuts
+        .get(usize::from(at))
+        .is_some_and(|shortcut| !shortcut.statement && shortcut.act == Act::Get)
+}
+
 /// The comparisons mean something only if the random programs take every kind of shortcut.
 #[test]
 fn random_programs_have_every_shortcut() {
@@ -229,6 +261,7 @@ fn random_programs_have_every_shortcut() {
                 Act::Compute(Compute { then: Then::Push, .. }) => "push",
                 Act::Compute(Compute { then: Then::Store(..), .. }) => "store",
                 Act::Compute(Compute { then: Then::Unless(_), .. }) => "unless",
+                Act::Send(_) if next.count == 0 && is_get(&code, next.to) => "reply and get",
                 Act::Send(Send { pops: 0, .. }) => "send",
                 Act::Send(_) => "send from the stack",
                 Act::Unpack(_) => "unpack",
@@ -239,6 +272,6 @@ fn random_programs_have_every_shortcut() {
             *seen.entry("followed jump").or_default() += u32::from(next.count > *count);
         }
     }
-    assert_eq!(seen.len(), 12, "{seen:?}");
+    assert_eq!(seen.len(), 13, "{seen:?}");
     assert!(seen.values().all(|&times| times >= 5), "{seen:?}");
 }

@@ -16,6 +16,7 @@ pub use outcome::{Asked, Received, Rendezvous, RequestFault, Sent, TaskError};
 pub(crate) use caller::Caller;
 
 use crate::clock::{self, Micros};
+use crate::node::comm::Completion;
 use crate::node::{More, Node};
 use calls::{Calls, at_once};
 use handlers::Handlers;
@@ -190,6 +191,33 @@ impl<S> Context<S> {
         at_once(self.replied(to, contents))
     }
 
+    /// Answers a received class-2 message, and then waits for the next message as [`receive`](Self::receive) does. For a server it does
+    /// what the two calls do, for less: the communication task is entered once.
+    ///
+    /// ```no_run
+    /// # use imrs_runtime::{Context, TaskError, protocol::PortId};
+    /// # fn serve(ctx: &mut Context, ask: PortId) -> Result<(), TaskError> {
+    /// let mut next = ctx.receive(Some(ask), None)?;
+    /// while let Some(message) = next {
+    ///     let answer = message.contents;
+    ///     next = ctx.reply_and_receive(&message.from, answer.as_bytes(), Some(ask), None)?;
+    /// }
+    /// # Ok(())
+    /// # }
+    /// ```
+    ///
+    /// # Errors
+    /// The errors of [`reply`](Self::reply); then nothing is received.
+    pub fn reply_and_receive(
+        &mut self,
+        to: &ReplyTo,
+        contents: &[u8],
+        port: Option<PortId>,
+        time_out: Option<Duration>,
+    ) -> Result<Option<Delivery>, TaskError> {
+        at_once(self.replied_and_received(to, contents, port, time_out))
+    }
+
     /// Waits until all tasks of the port have reached this point (§4.3), at most for the port's time_out.
     ///
     /// # Errors
@@ -271,7 +299,18 @@ impl<S> Calls for Context<S> {
         &mut self.caller
     }
 
-    fn ask(&mut self, request: Request) -> impl Future<Output = Result<(Signal, Ticks), TaskError>> {
-        ready(self.call_with(request, &mut |_| None))
+    fn ask_after(
+        &mut self,
+        reply: Option<Request>,
+        request: Request,
+    ) -> impl Future<Output = Result<(Signal, Ticks), TaskError>> {
+        let Some(reply) = reply else { return ready(self.call_with(request, &mut |_| None)) };
+        let mut after = Some(request);
+        // Both requests are made under one lock.
+        let mut more = |completion: &Completion| match completion.signal {
+            Signal::Accepted(_) => after.take(),
+            _ => None,
+        };
+        ready(self.call_with(reply, &mut more))
     }
 }

@@ -16,19 +16,19 @@
 //!   right after it. A thread that finds the inbox full waits for the lock;
 //! - the Timer thread brings the time of a member that expires, and observers look at members, under the lock.
 
+mod fused;
 mod gather;
+
+pub(crate) use fused::FusedSignals;
 
 use crate::clock::Micros;
 use crate::node::comm::{Comm, Completion};
 use crate::node::effects::{Addressed, Effects, Stamped};
 use crate::node::failstop::guarded;
 use crate::node::home::{Homes, RunBy};
-use crate::observe::ring::Ring;
 use crate::script::ScriptRunner;
 use crate::sync::handoff::{Protected, Rest};
-use imrs_protocol::{
-    Class, Fusible, Input, Kind, NodeId, NodeOutbox, NodeTable, Observation, Packet, Request, Signal, TaskId,
-};
+use imrs_protocol::{Class, Input, Kind, NodeTable, Request, Signal};
 use imrs_wire::envelope::MAX_PACKETS;
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
@@ -89,22 +89,18 @@ impl Domain {
         }
     }
 
-    /// The future of a member takes its answer. If there is none yet, it makes a request at this time, or only lets time pass. Its
-    /// answer, and answers for other members that this leads to, go to `answers`: the calling thread is that of the futures.
-    pub fn ask(
-        &mut self,
-        member: usize,
-        (at, request): (Micros, Option<&Request>),
-        answers: &mut Answers,
-        effects: &mut Effects,
-    ) {
+    /// The future of a member takes its answer. If there is none yet, it asks. Its answer, and answers for other members that this
+    /// leads to, go to `answers`: the calling thread is that of the futures.
+    pub fn ask(&mut self, member: usize, asked: Asked<'_>, answers: &mut Answers, effects: &mut Effects) {
         if let Some(answer) = self.members[member].answer.take() {
             return answers.put(member, answer);
         }
         let before = effects.called.len();
-        self.turn_of(member).ask((at, request), answers, effects);
+        let fused = self.unchanged(member).ask(asked, answers, effects);
         if !effects.inside.is_empty() {
             self.work_inside(effects);
+        } else if fused {
+            return;
         }
         for &place in &effects.called[before..] {
             let there = self.homes.at(place).member();
@@ -123,15 +119,20 @@ impl Domain {
         effects: &mut Effects,
     ) {
         self.members[member].answer = None;
-        self.ask(member, (at, Some(request)), answers, effects);
+        self.ask(member, Asked { at, request: Some(request), then: None }, answers, effects);
         answers.take(member);
     }
 
     fn turn_of(&mut self, member: usize) -> Turn<'_> {
-        let Self { members, table, homes, changed, .. } = self;
-        let mut turn = Turn { members, member, table, homes, changed };
+        let mut turn = self.unchanged(member);
         turn.change(member);
         turn
+    }
+
+    /// As [`turn_of`](Self::turn_of), for a member that says itself whether it changes.
+    fn unchanged(&mut self, member: usize) -> Turn<'_> {
+        let Self { members, table, homes, changed, .. } = self;
+        Turn { members, member, table, homes, changed }
     }
 }
 
@@ -180,6 +181,17 @@ impl Protected for Domain {
         }
         Micros::MAX
     }
+}
+
+/// What a future asks: that time passes, a request, or a REPLY and the GET that follows once that is accepted (D200).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Asked<'a> {
+    /// The time of the requests.
+    pub at: Micros,
+    /// The request; `None`: only time passes.
+    pub request: Option<&'a Request>,
+    /// The GET after the REPLY that `request` is.
+    pub then: Option<&'a Request>,
 }
 
 /// Answers for futures that the thread of the futures brought itself, and which their calls find without the lock.
@@ -238,83 +250,43 @@ impl Turn<'_> {
         }
     }
 
-    /// The member's future makes a request, or lets time pass.
+    /// The member's future makes its requests, or lets time pass. Whether all that this leads to stands in `answers`, because it was one
+    /// fused step.
     fn ask(
         &mut self,
-        (at, request): (Micros, Option<&Request>),
+        Asked { at, request, then }: Asked<'_>,
         answers: &mut Answers,
         effects: &mut Effects,
-    ) {
+    ) -> bool {
         let own = self.home.member();
-        if let Some(request @ (Request::Send { .. } | Request::Reply { .. } | Request::Arrive { .. })) =
-            request
+        if let Some(
+            request @ (Request::Send { .. }
+            | Request::Reply { .. }
+            | Request::Arrive { .. }
+            | Request::Get { .. }),
+        ) = request
             && self.is_usual()
             && self.catch_up_with(at)
-            && self.fuse(request, &mut ToFutures { own, answers }, effects)
+            && self.fuse((request, then), &mut ToFutures { own, answers }, effects)
         {
-            return;
+            // An answer, and a wait without a time_out, bring the task no new deadline.
+            let last = then.unwrap_or(request);
+            if !matches!(last, Request::Reply { .. } | Request::Get { time_out: None, .. }) {
+                self.change(own);
+            }
+            return true;
         }
+        self.change(own);
         let input = request.map_or(Input::Time, |&request| Input::Request(request));
-        if let Some(answer) = self.take(Stamped { at, input }, effects) {
+        let mut answer = self.take(Stamped { at, input }, effects);
+        if let (Some(&get), Some(Signal::Accepted(_))) = (then, answer.map(|answer| answer.signal)) {
+            answer = self.take(Stamped { at, input: Input::Request(get) }, effects);
+        }
+        if let Some(answer) = answer {
             answers.put(own, answer);
         }
+        false
     }
-
-    /// The member takes a request as one fused step with the other members that it concerns (D176, D193). False, and nothing has
-    /// changed, if anything about it is unusual. Then the caller takes the small steps.
-    pub fn fuse(
-        &mut self,
-        request: &Request,
-        signals: &mut impl FusedSignals,
-        effects: &mut Effects,
-    ) -> bool {
-        if self.members.len() == 1 {
-            return false;
-        }
-        let own = &self.members[self.member];
-        let (home, task) = (own.home, own.machine.task());
-        let Some(fusible) = Fusible::of(self.table, task, request) else {
-            return matches!(request, Request::Arrive { .. }) && self.gather(request, signals, effects);
-        };
-        let there = self.homes.at(fusible.other);
-        // A packet that the other member has not taken comes first.
-        if home.domain() != there.domain() || effects.inside.has_input_for(there) {
-            return false;
-        }
-        let Ok([own, other]) = self.members.get_disjoint_mut([home.member(), there.member()]) else {
-            return false;
-        };
-        if !(own.is_usual() && other.is_usual() && other.catch_up_with(own.now())) {
-            return false;
-        }
-        let mut out = Fused {
-            at: own.now(),
-            task,
-            rings: (&mut own.ring, &mut other.ring),
-            signals,
-            other: (there.member(), &mut other.runner),
-            told: false,
-        };
-        if !fusible.step(&mut own.machine, &mut other.machine, request, &mut out) {
-            return false;
-        }
-        if out.told {
-            match there.run_by {
-                RunBy::AnyThread => effects.inside.told(there),
-                RunBy::TheThreadOfFutures | RunBy::ItsThread => effects.called.push(there.place()),
-            }
-        }
-        self.change(there.member());
-        true
-    }
-}
-
-/// Where the signals of a fused step go.
-pub(crate) trait FusedSignals {
-    /// To the task that makes the request.
-    fn own(&mut self, answer: Completion);
-    /// To the other member, which may have a script.
-    fn other(&mut self, member: usize, script: Option<&mut ScriptRunner>, answer: Completion);
 }
 
 /// To the futures of a node, on their thread.
@@ -330,38 +302,5 @@ impl FusedSignals for ToFutures<'_> {
 
     fn other(&mut self, member: usize, _: Option<&mut ScriptRunner>, answer: Completion) {
         self.answers.put(member, answer);
-    }
-}
-
-/// The outbox of one fused step. It drops nothing and sends nothing.
-struct Fused<'a, S> {
-    at: Micros,
-    task: TaskId,
-    /// Of the task itself, and of the other one.
-    rings: (&'a mut Ring, &'a mut Ring),
-    signals: &'a mut S,
-    other: (usize, &'a mut Option<Box<ScriptRunner>>),
-    /// Whether the other task was told something.
-    told: bool,
-}
-
-impl<S: FusedSignals> NodeOutbox for Fused<'_, S> {
-    fn link(&mut self, _: NodeId, _: Packet) {}
-
-    #[inline(always)]
-    fn signal(&mut self, task: TaskId, signal: Signal) {
-        let answer = Completion { signal, at: self.at };
-        if task == self.task {
-            self.signals.own(answer);
-        } else {
-            self.told = true;
-            self.signals.other(self.other.0, self.other.1.as_deref_mut(), answer);
-        }
-    }
-
-    #[inline]
-    fn observe(&mut self, at: Option<TaskId>, observation: Observation) {
-        let ring = if at == Some(self.task) { &mut self.rings.0 } else { &mut self.rings.1 };
-        ring.push(self.at, observation);
     }
 }

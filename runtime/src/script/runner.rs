@@ -165,10 +165,22 @@ impl ScriptRunner {
         self.host.tell(ScriptInput::Signal(signal));
     }
 
-    /// Makes the request together with another script of the node, if nothing about it is unusual and no watch wants to see each
-    /// small step.
+    /// Makes the request as a fused step, if nothing about it is unusual and no watch wants to see each small step: a REPLY together
+    /// with the GET that the script makes next.
     fn fuse(&mut self, comm: &mut Turn<'_>, request: &Request, effects: &mut Effects) -> bool {
-        self.side.watch.is_none() && comm.fuse(request, &mut ToScripts(&mut self.host), effects)
+        if self.side.watch.is_some() {
+            return false;
+        }
+        if let Request::Reply { .. } = request
+            && effects.steps < self.side.together
+            && let Some((at, get)) = self.host.get_after_reply()
+            && comm.fuse((request, Some(&get)), &mut ToScripts(&mut self.host), effects)
+        {
+            self.host.made(at);
+            effects.steps += 1;
+            return true;
+        }
+        comm.fuse((request, None), &mut ToScripts(&mut self.host), effects)
     }
 
     fn step(&mut self, comm: &mut Turn<'_>, step: Step, effects: &mut Effects) {

@@ -107,7 +107,8 @@ impl Kind {
     pub const fn of(request: &Request) -> Option<Self> {
         match request {
             Request::Send { .. } => Some(Self::Answers),
-            Request::Get { .. } => Some(Self::Message),
+            // A REPLY does not wait, but the GET right after it does.
+            Request::Get { .. } | Request::Reply { .. } => Some(Self::Message),
             Request::Arrive { .. } => Some(Self::Meeting),
             _ => None,
         }

@@ -1,9 +1,9 @@
 //! Messages and answers between a program's types and the bytes of its communication task.
 
 use super::caller::Caller;
-use super::outcome::{Asked, RequestFault, TaskError};
+use super::outcome::{Asked, Received, RequestFault, TaskError};
 use crate::api::message::{Bytes, LONGEST, Message};
-use imrs_protocol::{Answers, Class, Fault, Outcome, PortId, Target, TaskId};
+use imrs_protocol::{Answers, Class, Delivery, Fault, Outcome, PortId, Target, TaskId};
 use std::any::type_name;
 use std::sync::Arc;
 
@@ -60,6 +60,12 @@ impl Caller {
             );
         }
         Ok(())
+    }
+
+    /// A message with all its fragments.
+    pub(super) fn decoded<M: Message>(&mut self, delivery: &Delivery) -> Result<Received<M>, TaskError> {
+        let message = decoded(&self.whole(delivery)?)?;
+        Ok(Received { message, from: delivery.from, budget: delivery.budget })
     }
 
     /// The outcome, with the whole answer.

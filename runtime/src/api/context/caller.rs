@@ -4,7 +4,7 @@ use super::outcome::TaskError;
 use crate::api::message::Bytes;
 use crate::clock::{self, Micros};
 use crate::node::comm::{Comm, Completion};
-use crate::node::domain::{Answers, Domain};
+use crate::node::domain::{Answers, Asked, Domain};
 use crate::node::effects::Effects;
 use crate::node::failstop::guarded;
 use crate::node::{Inlet, More, Node};
@@ -79,18 +79,32 @@ impl Caller {
     }
 
     /// As [`call`](Self::call), without waiting: returns what there is for the task now. If that is an answer to an earlier
-    /// request, the new request is not made.
-    pub fn call_now(&mut self, request: Option<&Request>) -> Result<Option<(Signal, Ticks)>, TaskError> {
+    /// request, the new ones are not made. The second request is made once the first one is accepted.
+    pub fn call_now(
+        &mut self,
+        [request, then]: [Option<&Request>; 2],
+    ) -> Result<Option<(Signal, Ticks)>, TaskError> {
         if let Some(error) = &self.failed {
             return Err(error.clone());
         }
         if self.stopped {
             return Err(TaskError::Stopped);
         }
-        let at = if request.is_some() { clock::next() } else { clock::now() };
-        match self.enter(at, request) {
+        let mut now = None;
+        let mut answer = self.brought();
+        if answer.is_none() {
+            let at = if request.is_some() { clock::next() } else { clock::now() };
+            now = Some(at);
+            answer = self.enter(Asked { at, request, then });
+        }
+        match answer {
             Some(Completion { signal: Signal::Fault(fault), .. }) => Err(super::RequestFault(fault).into()),
-            Some(Completion { signal, at: since }) => Ok(Some((signal, Ticks(at.saturating_sub(since))))),
+            Some(Completion { signal, at: since }) => {
+                // Only the age of a message matters.
+                let ages = matches!(signal, Signal::Message(_) | Signal::Interrupt(_));
+                let now = now.unwrap_or_else(|| if ages { clock::now() } else { since });
+                Ok(Some((signal, Ticks(now.saturating_sub(since)))))
+            }
             None if self.stopped => {
                 self.give_up();
                 Err(TaskError::Stopped)
@@ -99,18 +113,19 @@ impl Caller {
         }
     }
 
-    /// The future takes its answer. If there is none yet, it makes the request first, or lets time pass.
-    fn enter(&mut self, at: Micros, request: Option<&Request>) -> Option<Completion> {
+    /// The answer for the future that its thread brought without the lock.
+    fn brought(&self) -> Option<Completion> {
+        self.answers.as_ref()?.borrow_mut().take(self.member)
+    }
+
+    /// The future asks, and takes its answer if there is one.
+    fn enter(&mut self, asked: Asked<'_>) -> Option<Completion> {
         let answers = self.answers.as_ref()?;
-        let answer = answers.borrow_mut().take(self.member);
-        if answer.is_some() {
-            return answer;
-        }
         let ask = |domain: &mut Domain, member: usize, effects: &mut Effects| {
-            domain.ask(member, (at, request), &mut answers.borrow_mut(), effects);
+            domain.ask(member, asked, &mut answers.borrow_mut(), effects);
         };
         ((), self.stopped) = self.node.look_in(self.place, ask, &mut self.effects);
-        answers.borrow_mut().take(self.member)
+        self.brought()
     }
 
     /// Whether `waker` was to be called for an answer when the future last entered. If not, it is from here on, and the future

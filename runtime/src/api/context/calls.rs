@@ -1,7 +1,7 @@
 //! The calls of a program. Each is written once, for threads and futures: a thread blocks in [`Calls::ask`],
 //! and a future awaits it.
 
-use super::answers::{decoded, encoded, wrong_usage};
+use super::answers::{encoded, wrong_usage};
 use super::caller::Caller;
 use super::outcome::{Asked, Received, Rendezvous, Sent, TaskError};
 use crate::api::message::{LONGEST, Message};
@@ -32,8 +32,23 @@ pub(super) fn at_once<T>(call: impl Future<Output = Result<T, TaskError>>) -> Re
 pub(super) trait Calls {
     fn caller(&mut self) -> &mut Caller;
 
-    /// Makes a request and waits for its answer; handlers run meanwhile. Also returns the age of the answer.
-    fn ask(&mut self, request: Request) -> impl Future<Output = Result<(Signal, Ticks), TaskError>>;
+    /// Makes a request and waits for its answer; handlers run meanwhile. Also returns the age of the answer. With a `reply`, that is
+    /// made first, and the request only if it is accepted.
+    fn ask_after(
+        &mut self,
+        reply: Option<Request>,
+        request: Request,
+    ) -> impl Future<Output = Result<(Signal, Ticks), TaskError>>;
+
+    /// As [`ask_after`](Self::ask_after), without a reply.
+    fn ask(&mut self, request: Request) -> impl Future<Output = Result<(Signal, Ticks), TaskError>> {
+        self.ask_after(None, request)
+    }
+
+    /// Whether a message that came for a call that was dropped may wait.
+    fn keeps(&self) -> bool {
+        false
+    }
 
     /// A message that came for a call that was dropped.
     fn kept(&mut self, port: Option<PortId>, source: Option<TaskId>) -> Option<Delivery> {
@@ -90,18 +105,50 @@ pub(super) trait Calls {
         }
     }
 
-    async fn replied(&mut self, to: &ReplyTo, contents: &[u8]) -> Result<(), TaskError> {
+    async fn reply_of(&mut self, to: &ReplyTo, contents: &[u8]) -> Result<Request, TaskError> {
         let contents = match Contents::new(contents) {
             Some(short) => short,
             None => self.staged(to.port, contents, |decl| decl.answer_fragments).await?,
         };
-        self.accepted(Request::Reply { to: *to, contents }).await.map(|_| ())
+        Ok(Request::Reply { to: *to, contents })
+    }
+
+    async fn replied(&mut self, to: &ReplyTo, contents: &[u8]) -> Result<(), TaskError> {
+        let reply = self.reply_of(to, contents).await?;
+        self.accepted(reply).await.map(|_| ())
     }
 
     async fn received(
         &mut self,
         port: Option<PortId>,
         source: Option<TaskId>,
+        time_out: Option<Duration>,
+    ) -> Result<Option<Delivery>, TaskError> {
+        self.received_after(None, (port, source), time_out).await
+    }
+
+    async fn replied_and_received(
+        &mut self,
+        to: &ReplyTo,
+        contents: &[u8],
+        port: Option<PortId>,
+        time_out: Option<Duration>,
+    ) -> Result<Option<Delivery>, TaskError> {
+        let mut reply = Some(self.reply_of(to, contents).await?);
+        if self.keeps()
+            && let Some(reply) = reply.take()
+        {
+            // The next message may be here already.
+            self.accepted(reply).await?;
+        }
+        self.received_after(reply, (port, None), time_out).await
+    }
+
+    /// Receives after a REPLY, if there is one.
+    async fn received_after(
+        &mut self,
+        mut reply: Option<Request>,
+        (port, source): (Option<PortId>, Option<TaskId>),
         time_out: Option<Duration>,
     ) -> Result<Option<Delivery>, TaskError> {
         if let Some(kept) = self.kept(port, source) {
@@ -111,7 +158,7 @@ pub(super) trait Calls {
         let mut left = time_out.map(ticks);
         loop {
             let request = Request::Get { port, source, time_out: left };
-            match self.ask(request).await? {
+            match self.ask_after(reply.take(), request).await? {
                 (Signal::Message(message), age) => {
                     if let Some(message) = self.caller().in_hand(&message, age) {
                         return Ok(Some(message));
@@ -218,9 +265,20 @@ pub(super) trait Calls {
         port: PortId,
         time_out: Option<Duration>,
     ) -> Result<Option<Received<M>>, TaskError> {
-        let Some(delivery) = self.received(Some(port), None, time_out).await? else { return Ok(None) };
-        let message = decoded(&self.caller().whole(&delivery)?)?;
-        Ok(Some(Received { message, from: delivery.from, budget: delivery.budget }))
+        let next = self.received(Some(port), None, time_out).await?;
+        next.map(|delivery| self.caller().decoded(&delivery)).transpose()
+    }
+
+    async fn answered_and_taken<R: Message, M: Message>(
+        &mut self,
+        (to, answer): (&ReplyTo, &R),
+        port: PortId,
+        time_out: Option<Duration>,
+    ) -> Result<Option<Received<M>>, TaskError> {
+        let mut room = [0; LONGEST];
+        let answer = encoded(answer, &mut room)?;
+        let next = self.replied_and_received(to, answer, Some(port), time_out).await?;
+        next.map(|delivery| self.caller().decoded(&delivery)).transpose()
     }
 
     async fn answered<R: Message>(&mut self, to: &ReplyTo, answer: &R) -> Result<(), TaskError> {

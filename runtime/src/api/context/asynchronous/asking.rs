@@ -10,8 +10,8 @@ use std::task::{Context as Poller, Poll};
 /// One request and its answer: the only outstanding communication of the task (R93).
 pub(super) struct Asking<'a, S> {
     context: &'a mut AsyncContext<S>,
-    /// The request to be made next.
-    next: Option<Request>,
+    /// The request to be made next, and the one after it, once that is accepted.
+    next: [Option<Request>; 2],
     stage: Stage,
 }
 
@@ -23,8 +23,10 @@ enum Stage {
 }
 
 impl<'a, S> Asking<'a, S> {
-    pub const fn new(context: &'a mut AsyncContext<S>, request: Request) -> Self {
-        Self { context, next: Some(request), stage: Stage::New }
+    /// A request, after a REPLY if there is one.
+    pub const fn new(context: &'a mut AsyncContext<S>, reply: Option<Request>, request: Request) -> Self {
+        let next = if reply.is_some() { [reply, Some(request)] } else { [Some(request), None] };
+        Self { context, next, stage: Stage::New }
     }
 }
 
@@ -35,11 +37,11 @@ impl<S> Future for Asking<'_, S> {
         let Self { context, next, stage } = self.get_mut();
         *stage = Stage::Waits;
         loop {
-            let answer = context.caller.call_now(next.as_ref());
-            *next = None;
+            let answer = context.caller.call_now([next[0].as_ref(), next[1].as_ref()]);
+            *next = [None, None];
             match answer {
                 Ok(Some((Signal::Interrupt(call), age))) => match context.interrupted(call, age) {
-                    Ok(()) => *next = Some(Request::Return),
+                    Ok(()) => next[0] = Some(Request::Return),
                     Err(error) => {
                         *stage = Stage::Over;
                         return Poll::Ready(Err(error));

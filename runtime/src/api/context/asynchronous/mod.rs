@@ -173,6 +173,33 @@ impl<S> AsyncContext<S> {
         at_once(self.replied(to, contents))
     }
 
+    /// Answers a received class-2 message, and then waits for the next message as [`receive`](Self::receive) does. For a server it does
+    /// what the two calls do, for less: the communication task is entered once.
+    ///
+    /// ```no_run
+    /// # use imrs_runtime::{AsyncContext, TaskError, protocol::PortId};
+    /// # async fn serve(mut ctx: AsyncContext, ask: PortId) -> Result<(), TaskError> {
+    /// let mut next = ctx.receive(Some(ask), None).await?;
+    /// while let Some(message) = next {
+    ///     let answer = message.contents;
+    ///     next = ctx.reply_and_receive(&message.from, answer.as_bytes(), Some(ask), None).await?;
+    /// }
+    /// # Ok(())
+    /// # }
+    /// ```
+    ///
+    /// # Errors
+    /// The errors of [`reply`](Self::reply); then nothing is received.
+    pub async fn reply_and_receive(
+        &mut self,
+        to: &ReplyTo,
+        contents: &[u8],
+        port: Option<PortId>,
+        time_out: Option<Duration>,
+    ) -> Result<Option<Delivery>, TaskError> {
+        self.replied_and_received(to, contents, port, time_out).await
+    }
+
     /// Waits until all tasks of the port have reached this point (§4.3), at most for the port's time_out.
     ///
     /// # Errors
@@ -263,7 +290,7 @@ impl<S> AsyncContext<S> {
     fn withdraw(&mut self) {
         let mut next = Request::Cancel;
         loop {
-            match self.caller.call_now(Some(&next)) {
+            match self.caller.call_now([Some(&next), None]) {
                 Ok(Some((Signal::Interrupt(call), age))) => {
                     if self.interrupted(call, age).is_err() {
                         return;
@@ -286,8 +313,16 @@ impl<S> Calls for AsyncContext<S> {
         &mut self.caller
     }
 
-    fn ask(&mut self, request: Request) -> impl Future<Output = Result<(Signal, Ticks), TaskError>> {
-        Asking::new(self, request)
+    fn ask_after(
+        &mut self,
+        reply: Option<Request>,
+        request: Request,
+    ) -> impl Future<Output = Result<(Signal, Ticks), TaskError>> {
+        Asking::new(self, reply, request)
+    }
+
+    fn keeps(&self) -> bool {
+        !self.kept.is_empty()
     }
 
     /// A message that came for a dropped call and has not expired.

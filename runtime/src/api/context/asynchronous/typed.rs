@@ -86,4 +86,19 @@ impl<S> AsyncContext<S> {
     pub fn answer<R: Message>(&mut self, to: &ReplyTo, answer: &R) -> Result<(), TaskError> {
         at_once(self.answered(to, answer))
     }
+
+    /// Answers a received query or command, and then waits for the next message of a port, as [`take`](Self::take) does: see
+    /// [`reply_and_receive`](Self::reply_and_receive).
+    ///
+    /// # Errors
+    /// The errors of [`reply`](Self::reply), and then nothing is received; otherwise those of [`take`](Self::take).
+    pub async fn answer_and_take<R: Message, M: Message>(
+        &mut self,
+        to: &ReplyTo,
+        answer: &R,
+        port: PortId,
+        time_out: Option<Duration>,
+    ) -> Result<Option<Received<M>>, TaskError> {
+        self.answered_and_taken((to, answer), port, time_out).await
+    }
 }

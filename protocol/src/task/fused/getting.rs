@@ -1,0 +1,92 @@
+//! A GET without the way through [`handle`](CommTask::handle), by itself or right after an answer (D200).
+
+use super::CommTask;
+use crate::ids::{PortId, TaskId};
+use crate::node::NodeOutbox;
+use crate::observe::Observation;
+use crate::packet::Packet;
+use crate::request::{Request, Signal, TimeId};
+use crate::table::NodeTable;
+use crate::task::step::{Outbox, Step};
+use crate::ticks::Ticks;
+
+/// A GET: its port, the source whose messages suit, and how long it waits.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Get {
+    port: Option<PortId>,
+    source: Option<TaskId>,
+    time_out: Option<Ticks>,
+}
+
+impl Get {
+    /// The GET that a request is.
+    #[inline]
+    pub fn of(request: &Request) -> Option<Self> {
+        if let Request::Get { port, source, time_out } = *request {
+            Some(Self { port, source, time_out })
+        } else {
+            None
+        }
+    }
+}
+
+impl CommTask {
+    /// Takes a GET as one fused step, which concerns no other task (D200). False, and nothing has changed, if a handler could
+    /// interrupt the task, or the request is no GET.
+    #[inline(always)]
+    pub fn fuse_get(&mut self, table: &NodeTable, request: &Request, out: &mut impl NodeOutbox) -> bool {
+        let Some(get) = Get::of(request).filter(|_| self.may_get()) else { return false };
+        self.get(table, get, out);
+        true
+    }
+
+    /// Whether a GET changes nothing but what [`get`](Self::get) changes: the task waits for nothing, and no handler could interrupt
+    /// its wait.
+    #[inline(always)]
+    pub(crate) fn may_get(&self) -> bool {
+        self.machines.interrupts.waits_for_nothing() && self.machines.is_plain()
+    }
+
+    /// Takes a GET that [`may_get`](Self::may_get) allows: the most urgent message, or the task waits for one.
+    #[inline(always)]
+    pub(crate) fn get(
+        &mut self,
+        table: &NodeTable,
+        Get { port, source, time_out }: Get,
+        out: &mut impl NodeOutbox,
+    ) {
+        let Self { own, machines, due } = self;
+        *due = None;
+        let task = own.task;
+        let mut step = Step { table, own, out: &mut OfTask { task, out } };
+        match machines.get(&mut step, (port, source), time_out) {
+            Ok(Some(signal)) => step.out.signal(signal),
+            Ok(None) => {}
+            Err(fault) => step.out.signal(Signal::Fault(fault)),
+        }
+    }
+}
+
+/// The outbox of one task's GET, which sends nothing and uses no Timer.
+struct OfTask<'a, O> {
+    task: TaskId,
+    out: &'a mut O,
+}
+
+impl<O: NodeOutbox> Outbox for OfTask<'_, O> {
+    fn transmit(&mut self, _: Packet) {}
+
+    #[inline(always)]
+    fn signal(&mut self, signal: Signal) {
+        self.out.signal(self.task, signal);
+    }
+
+    fn arm(&mut self, _: TimeId, _: u8, _: Ticks) {}
+
+    fn disarm(&mut self, _: TimeId) {}
+
+    #[inline(always)]
+    fn observe(&mut self, observation: Observation) {
+        self.out.observe(Some(self.task), observation);
+    }
+}
