@@ -22,6 +22,7 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
 mod blank;
+mod padded;
 #[cfg(feature = "checker")]
 mod walk;
 
@@ -137,12 +138,6 @@ impl Contents {
     #[must_use]
     pub fn as_bytes(&self) -> &[u8] {
         &self.bytes[..usize::from(self.len)]
-    }
-
-    /// The bytes of the contents, padded with zeros to a fixed length, for code that copies them word by word.
-    #[must_use]
-    pub const fn padded(&self) -> &[u8; CONTENTS_BYTES] {
-        &self.bytes
     }
 }
 

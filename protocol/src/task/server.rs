@@ -142,8 +142,13 @@ impl Server {
         packet: &Packet,
     ) -> Option<Arrival> {
         let origin = (usize::from(inbox), usize::from(ends.peer.slot));
+        let before = self.inboxes[origin.0].front();
         let arrival = self.message(step, threads, (ends, origin), packet);
-        self.touch(step.own, origin.0);
+        let inbox = &self.inboxes[origin.0];
+        // The ready set looks at the most urgent message of a port alone, if the port has no handler and no long messages.
+        if inbox.handled || inbox.is_long() || inbox.front() != before {
+            self.touch(step.own, origin.0);
+        }
         arrival
     }
 

@@ -1,7 +1,7 @@
 //! Scenes of a task that is a future: it waits for an answer, or cancels its request. It shares its hand-off with other
 //! futures, so the answer for it is in the protected state (D187).
 
-use super::{DEADLOCK, must_fail};
+use super::{DEADLOCK, Listed, must_fail};
 use crate::clock::FAR;
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, thread};
 use crate::sync::handoff::{Handoff, Plant, Protected, Rest};
@@ -18,12 +18,16 @@ struct Asked {
     answer: Option<Got>,
 }
 
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, PartialEq)]
 enum Brought {
     Question,
     Message,
     Cancel,
     Nothing,
+}
+
+impl Listed for Brought {
+    const ALL: &[Self] = &[Self::Question, Self::Message, Self::Cancel, Self::Nothing];
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -42,8 +46,8 @@ impl Protected for Asked {
         matches!(input, Brought::Message)
     }
 
-    fn feed(&mut self, input: Brought, called: &mut bool) -> Option<Got> {
-        match input {
+    fn feed(&mut self, input: &mut Brought, called: &mut bool) -> Option<Got> {
+        match *input {
             Brought::Question => self.waits = true,
             Brought::Message if std::mem::take(&mut self.waits) => {
                 self.answer = Some(Got::Message);
@@ -103,7 +107,7 @@ impl Scene {
         let mut called = false;
         let ask = |asked: &mut Asked, called: &mut bool| {
             if blindly || asked.answer.is_none() {
-                asked.feed(input, called);
+                asked.feed(&mut { input }, called);
             }
             asked.answer.take()
         };

@@ -1,6 +1,6 @@
 //! Scenes of the hand-off: answers, wake-ups, input that is left for the holder of the lock, time_outs, and stopping.
 
-use super::{DEADLOCK, must_fail, must_fail_large};
+use super::{DEADLOCK, Listed, must_fail, must_fail_large};
 use crate::clock::FAR;
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
 use crate::sync::handoff::{Handoff, Plant, Protected, Rest};
@@ -13,7 +13,7 @@ pub(super) struct Toy {
     pub fed: u32,
 }
 
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, PartialEq)]
 pub(super) enum Brought {
     Question,
     /// The task takes an answer that is already there.
@@ -23,6 +23,11 @@ pub(super) enum Brought {
     News,
     TimeIsUp,
     Nothing,
+}
+
+impl Listed for Brought {
+    const ALL: &[Self] =
+        &[Self::Question, Self::Poll, Self::Answer, Self::News, Self::TimeIsUp, Self::Nothing];
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -41,7 +46,7 @@ impl Protected for Toy {
         matches!(input, Brought::News)
     }
 
-    fn feed(&mut self, input: Brought, worked: &mut u32) -> Option<Got> {
+    fn feed(&mut self, input: &mut Brought, worked: &mut u32) -> Option<Got> {
         self.fed += 1;
         *worked += 1;
         match input {
@@ -88,7 +93,7 @@ pub(super) fn bring(handoff: &Arc<Handoff<Toy, Option<Plant>>>, input: Brought) 
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Waited {
+pub(super) enum Waited {
     /// The task did not wait: the answer was there.
     NotAtAll,
     /// The task's thread found the answer while it was spinning.
@@ -166,127 +171,15 @@ fn who_leaves_something_and_does_not_see_that_nobody_looks_any_more_leaves_it_fo
 }
 
 #[test]
+fn without_its_fence_what_was_left_to_a_thread_that_looked_is_not_seen() {
+    if SEES_OLD_VALUES {
+        must_fail(DEADLOCK, || ask_and_wait(Some(Plant::NoFenceForARunner), 1));
+    }
+}
+
+#[test]
 fn a_sleep_that_trusts_the_last_look_misses_the_answer() {
     must_fail(DEADLOCK, || ask_and_wait(Some(Plant::SleepsBlindly), 2));
-}
-
-/// The task has entered the machine before. It asks, looks `looks` times and then sleeps; another thread brings news that
-/// may wait for the task's thread. Returns how the task waited, and whether its own thread handled the news.
-fn ask_for_news(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
-    let handoff = toy(plant);
-    let mut worked = 0;
-    handoff.enter(Brought::Nothing, &mut worked);
-    let other = bring(&handoff, Brought::News);
-    let mut waited = Waited::NotAtAll;
-    let mut entry = handoff.enter(Brought::Question, &mut worked);
-    while entry.completion.is_none() {
-        let found = looks > 0 && handoff.look(|| false, |there| (0..looks).any(|_| there()));
-        waited = if found {
-            Waited::Looking
-        } else if handoff.sleep(None) {
-            Waited::Asleep
-        } else {
-            Waited::Awake
-        };
-        entry = handoff.come_back_and(Brought::Nothing, |_| None, &mut worked);
-    }
-    (waited, other.join().unwrap() == 0)
-}
-
-/// Asserts that all outcomes in `expected` are seen. If every schedule is explored, there is one more: the thread that left
-/// the news sees that the task's thread is about to sleep, and handles the news before that thread checks the inbox. Drawn
-/// schedules rarely show that.
-fn news_end_every_wait(looks: u32, expected: &[(Waited, bool)]) {
-    let seen = explore(move || ask_for_news(None, looks));
-    let rare = (Waited::Awake, false);
-    assert!(!SEES_OLD_VALUES || seen.contains_key(&rare), "{seen:?}");
-    let outcomes: Vec<_> = seen.keys().copied().filter(|&outcome| outcome != rare).collect();
-    assert_eq!(outcomes, expected, "{seen:?}");
-}
-
-#[test]
-fn news_that_waited_for_a_thread_that_ran_end_its_wait() {
-    let expected = [(Waited::NotAtAll, true), (Waited::Awake, true), (Waited::Asleep, false)];
-    news_end_every_wait(0, &expected);
-}
-
-#[test]
-fn news_that_waited_are_found_by_who_looks() {
-    let expected = [
-        (Waited::NotAtAll, true),
-        (Waited::Looking, false),
-        (Waited::Looking, true),
-        (Waited::Awake, true),
-        (Waited::Asleep, false),
-    ];
-    news_end_every_wait(2, &expected);
-}
-
-/// News come before the task's thread begins to look, or another thread has handled them by then. Returns whether the first
-/// look finds them, although no thread calls the task's thread.
-fn look_after_news(plant: Option<Plant>) -> bool {
-    let handoff = toy(plant);
-    let mut worked = 0;
-    handoff.enter(Brought::Nothing, &mut worked);
-    let other = bring(&handoff, Brought::News);
-    handoff.enter(Brought::Nothing, &mut worked);
-    other.join().unwrap();
-    let there = handoff.has_left();
-    let found = handoff.look(|| false, |there| there());
-    assert_eq!(found, there, "it looked past what was left");
-    found
-}
-
-#[test]
-fn who_begins_to_look_sees_what_was_left_before() {
-    let seen = explore(|| look_after_news(None));
-    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [false, true], "{seen:?}");
-    must_fail("looked past", || look_after_news(Some(Plant::LooksPastIt)));
-}
-
-#[test]
-fn who_sleeps_on_what_was_left_to_it_sleeps_for_ever() {
-    must_fail(DEADLOCK, || ask_for_news(Some(Plant::SleepsOnIt), 0));
-}
-
-#[test]
-fn who_leaves_news_and_does_not_see_that_the_thread_sleeps_by_now_leaves_them_for_ever() {
-    must_fail(DEADLOCK, || ask_for_news(Some(Plant::TrustsTheRun), 0));
-}
-
-#[test]
-fn without_its_fence_what_was_left_to_a_thread_that_ran_is_not_seen() {
-    if SEES_OLD_VALUES {
-        must_fail(DEADLOCK, || ask_for_news(Some(Plant::NoFenceForARunner), 0));
-    }
-}
-
-/// News come while the task's program ends. Returns whether the end of the program handled them.
-fn end_with_news(ends: bool) -> bool {
-    let handoff = toy(None);
-    let mut worked = 0;
-    handoff.enter(Brought::Poll, &mut worked);
-    let other = bring(&handoff, Brought::News);
-    let before = worked;
-    if ends {
-        handoff.end(&mut worked);
-    }
-    let own = worked > before;
-    other.join().unwrap();
-    let fed = handoff.look_at(|toy| toy.fed);
-    assert_eq!(fed, 2, "news stayed behind");
-    own
-}
-
-#[test]
-fn nothing_is_left_to_a_program_that_has_ended() {
-    let seen = explore(|| end_with_news(true));
-    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [false, true], "{seen:?}");
-}
-
-#[test]
-fn what_is_left_to_a_program_that_does_not_say_that_it_ended_stays_behind() {
-    must_fail("news stayed behind", || end_with_news(false));
 }
 
 /// The answer comes while the time runs out. The outcome is decided once, under the lock: it is never both and never

@@ -3,7 +3,7 @@
 use super::handoff::{Brought, Got, Toy, bring, toy};
 use super::{DEADLOCK, must_fail, must_fail_large};
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
-use crate::sync::handoff::{Handoff, Plant};
+use crate::sync::handoff::{Entry, Handoff, Plant};
 
 /// A thread brings two answers. The task waits for one and takes every other that is there, until it has both. Returns the
 /// most answers taken at once.
@@ -41,6 +41,44 @@ fn several_are_taken_under_one_lock_and_none_is_lost() {
 #[test]
 fn taking_several_without_a_second_look_waits_for_what_was_left() {
     must_fail_large(DEADLOCK, || take_several(Some(Plant::NoSecondLook)));
+}
+
+/// The task asks and spins while another thread brings two answers, and does not enter again once it has one. Returns how many
+/// the other thread handled.
+fn two_come_to_one_that_looks(plant: Option<Plant>) -> u32 {
+    let handoff = toy(plant);
+    let mut worked = 0;
+    handoff.enter(Brought::Question, &mut worked);
+    let bringing = Arc::clone(&handoff);
+    let other = thread::spawn(move || {
+        let mut worked = 0;
+        (0..2).for_each(|_| bringing.deliver(Brought::Answer, &mut worked));
+        worked
+    });
+    let mut entry = Entry { completion: None, stopped: false, until: 0 };
+    while entry.completion.is_none() {
+        if !handoff.look(|| false, |there| there()) {
+            handoff.sleep(None);
+        }
+        entry = handoff.come_back_and(Brought::Nothing, |_| None, &mut worked);
+    }
+    let others = other.join().unwrap();
+    assert!(handoff.look_at(|toy| toy.kept) == 1, "input stayed behind");
+    others
+}
+
+#[test]
+fn what_comes_when_a_look_has_ended_is_not_left_behind() {
+    let seen = explore(|| two_come_to_one_that_looks(None));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [0, 1, 2], "{seen:?}");
+}
+
+#[test]
+fn without_a_second_look_what_comes_when_a_look_has_ended_stays_behind() {
+    must_fail("input stayed behind", || two_come_to_one_that_looks(Some(Plant::NoSecondLook)));
+    if SEES_OLD_VALUES {
+        must_fail("input stayed behind", || two_come_to_one_that_looks(Some(Plant::NoFence)));
+    }
 }
 
 /// Two threads bring input at once. Returns the greater number of inputs that one of them handled.

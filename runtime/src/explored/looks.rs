@@ -1,10 +1,11 @@
 //! Scenes of observers that look at a machine while it works, and of news that must not come late.
 
-use super::must_fail;
+use super::{Listed, must_fail};
 use crate::clock::FAR;
 use crate::explorer::{Arc, explore, thread};
 use crate::observe::ring::Ring;
 use crate::sync::handoff::{Handoff, Protected, Rest};
+use crate::sync::inbox::Slotted;
 use crate::sync::{AtomicU64, Mutex, Ordering, lock};
 use imrs_protocol::{Event, Observation, PortId, TaskId, Ticks};
 
@@ -12,6 +13,10 @@ use imrs_protocol::{Event, Observation, PortId, TaskId, Ticks};
 struct Observed {
     ring: Ring,
     count: u32,
+}
+
+impl Listed for () {
+    const ALL: &[Self] = &[()];
 }
 
 impl Protected for Observed {
@@ -23,7 +28,7 @@ impl Protected for Observed {
         false
     }
 
-    fn feed(&mut self, (): (), (): &mut ()) -> Option<()> {
+    fn feed(&mut self, (): &mut (), (): &mut ()) -> Option<()> {
         let what = Observation {
             event: Event::Sent,
             port: PortId(0),
@@ -81,36 +86,48 @@ fn a_reader_that_does_not_know_its_loss_reads_out_of_order() {
 }
 
 /// A machine that stamps each step with a time, and reports it.
-#[derive(Default)]
 struct Stamper {
+    clock: Arc<AtomicU64>,
     told: [Option<u64>; 2],
     count: usize,
 }
 
-/// The source of a step's stamp: the clock, or (the bug) the thread that brings the input.
-struct Stamps {
-    clock: Arc<AtomicU64>,
-    brought: Option<u64>,
+/// The stamp of a step that (the bug) the thread has that brings the input. Without it, the step is stamped by the clock.
+struct Stamped(Option<u64>);
+
+impl Slotted for Stamped {
+    type Words = [u64; 1];
+    type Atomics = [AtomicU64; 1];
+
+    fn atomics() -> [AtomicU64; 1] {
+        [AtomicU64::new(0)]
+    }
+
+    fn to_words(&self) -> Option<[u64; 1]> {
+        Some([self.0.map_or(0, |at| at + 1)])
+    }
+
+    fn of_words(&[word]: &[u64; 1]) -> Self {
+        Self(word.checked_sub(1))
+    }
 }
 
-impl Stamps {
-    /// Reads the clock; each reading advances it.
-    fn now(clock: &AtomicU64) -> u64 {
-        clock.fetch_add(1, Ordering::AcqRel)
-    }
+/// Reads the clock; each reading advances it.
+fn read(clock: &AtomicU64) -> u64 {
+    clock.fetch_add(1, Ordering::AcqRel)
 }
 
 impl Protected for Stamper {
-    type Input = Stamps;
+    type Input = Stamped;
     type Completion = ();
     type Effects = ();
 
-    fn may_wait(_input: &Stamps) -> bool {
+    fn may_wait(_input: &Stamped) -> bool {
         false
     }
 
-    fn feed(&mut self, stamps: Stamps, (): &mut ()) -> Option<()> {
-        let at = stamps.brought.unwrap_or_else(|| Stamps::now(&stamps.clock));
+    fn feed(&mut self, Stamped(brought): &mut Stamped, (): &mut ()) -> Option<()> {
+        let at = brought.unwrap_or_else(|| read(&self.clock));
         self.told[self.count] = Some(at);
         self.count += 1;
         None
@@ -125,15 +142,16 @@ impl Protected for Stamper {
 /// the answer; later steps must not be older than the answer.
 fn told_until(stamped_outside: bool) -> usize {
     let clock = Arc::new(AtomicU64::new(0));
-    let handoff = Arc::new(Handoff::new(Stamper::default(), None));
+    let stamper = Stamper { clock: Arc::clone(&clock), told: [None; 2], count: 0 };
+    let handoff = Arc::new(Handoff::new(stamper, None));
     let (theirs, machine) = (Arc::clone(&clock), Arc::clone(&handoff));
     let other = thread::spawn(move || {
         for _ in 0..2 {
-            let brought = stamped_outside.then(|| Stamps::now(&theirs));
-            machine.deliver(Stamps { clock: Arc::clone(&theirs), brought }, &mut ());
+            let brought = stamped_outside.then(|| read(&theirs));
+            machine.deliver(Stamped(brought), &mut ());
         }
     });
-    let now = Stamps::now(&clock);
+    let now = read(&clock);
     let before = handoff.with(|stamper| stamper.count, &mut ());
     other.join().unwrap();
     let told = handoff.with(|stamper| stamper.told, &mut ());
@@ -165,6 +183,10 @@ enum Outcome {
     Unknown,
 }
 
+impl Listed for Outcome {
+    const ALL: &[Self] = &[Self::Unsent, Self::Unknown];
+}
+
 impl Protected for Sender {
     type Input = Outcome;
     type Completion = Outcome;
@@ -174,8 +196,8 @@ impl Protected for Sender {
         false
     }
 
-    fn feed(&mut self, outcome: Outcome, (): &mut ()) -> Option<Outcome> {
-        self.outcome.is_none().then(|| *self.outcome.insert(outcome))
+    fn feed(&mut self, outcome: &mut Outcome, (): &mut ()) -> Option<Outcome> {
+        self.outcome.is_none().then(|| *self.outcome.insert(*outcome))
     }
 
     fn settle(&mut self, _rest: Rest, (): &mut ()) -> u64 {

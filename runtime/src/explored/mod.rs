@@ -14,16 +14,42 @@ mod inbox;
 mod lane;
 mod lead;
 mod looks;
+mod news;
 mod park;
 mod ready;
+mod slots;
 mod time;
 mod visit;
 
-use crate::explorer::{explore, explore_large};
+use crate::explorer::{AtomicU64, explore, explore_large};
+use crate::sync::inbox::Slotted;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// The explorer's message when every thread sleeps.
 const DEADLOCK: &str = "deadlock";
+
+/// An input of a scene, one of a few: a slot holds its position among them.
+trait Listed: Copy + PartialEq + 'static {
+    const ALL: &'static [Self];
+}
+
+impl<I: Listed> Slotted for I {
+    type Words = [u64; 1];
+    type Atomics = [AtomicU64; 1];
+
+    fn atomics() -> [AtomicU64; 1] {
+        [AtomicU64::new(0)]
+    }
+
+    fn to_words(&self) -> Option<[u64; 1]> {
+        let position = Self::ALL.iter().position(|input| input == self)?;
+        Some([position as u64])
+    }
+
+    fn of_words(&[word]: &[u64; 1]) -> Self {
+        Self::ALL[word as usize]
+    }
+}
 
 /// Expects that the exploration finds a planted bug, which it recognises by the symptom.
 fn must_fail<O: Ord + Send + 'static>(symptom: &str, body: impl Fn() -> O + Send + Sync + 'static) {

@@ -1,6 +1,6 @@
 //! Scenes of time: which thread covers an expiry, and how the Timer thread ends.
 
-use super::{DEADLOCK, must_fail, must_fail_large};
+use super::{DEADLOCK, Listed, must_fail, must_fail_large};
 use crate::clock::{FAR, Micros};
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
 use crate::sync::alarm::{Alarm, Cover, Keeps, Plant};
@@ -101,7 +101,7 @@ struct Timed {
     due: Micros,
 }
 
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, PartialEq)]
 enum Moment {
     /// The task asks for something with a long time_out.
     Asked,
@@ -109,6 +109,10 @@ enum Moment {
     Sooner,
     TimeIsUp,
     Nothing,
+}
+
+impl Listed for Moment {
+    const ALL: &[Self] = &[Self::Asked, Self::Sooner, Self::TimeIsUp, Self::Nothing];
 }
 
 impl Protected for Timed {
@@ -121,7 +125,7 @@ impl Protected for Timed {
         false
     }
 
-    fn feed(&mut self, moment: Moment, served: &mut bool) -> Option<()> {
+    fn feed(&mut self, moment: &mut Moment, served: &mut bool) -> Option<()> {
         match moment {
             Moment::Asked => self.due = self.due.min(2 * NOW),
             Moment::Sooner => self.due = NOW,

@@ -125,14 +125,20 @@ impl Comm {
     }
 
     /// The machine takes one step. Its answers go to `answers`.
-    pub fn run(&mut self, step: &Step, answers: &mut dyn FnMut(Signal), effects: &mut Effects) {
+    pub fn run(
+        &mut self,
+        elapsed: Ticks,
+        input: &Input,
+        answers: &mut dyn FnMut(Signal),
+        effects: &mut Effects,
+    ) {
         if self.wants_keyframe
             && let Some(log) = &mut self.log
         {
             log.keyframe(&self.machine, self.digest);
         }
         let mut out = Out {
-            at: self.now() + step.elapsed.0,
+            at: self.now() + elapsed.0,
             task: self.machine.task(),
             home: self.home,
             homes: &self.homes,
@@ -143,9 +149,9 @@ impl Comm {
         };
         let digest = self.log.is_some().then_some(&mut self.digest);
         let out = &mut Digesting { digest, out: &mut out };
-        self.machine.handle(&self.table, self.machine.now() + step.elapsed, &step.input, out);
+        self.machine.handle(&self.table, self.machine.now() + elapsed, input, out);
         if let Some(log) = &mut self.log {
-            self.wants_keyframe = log.step(step, self.digest);
+            self.wants_keyframe = log.step(&Step { elapsed, input: *input }, self.digest);
         }
     }
 
@@ -236,23 +242,19 @@ impl Comm {
 
     /// Takes an input of a task that has no script.
     #[inline]
-    pub fn take(&mut self, stamped: Stamped, effects: &mut Effects) -> Option<Completion> {
+    pub fn take(&mut self, stamped: &mut Stamped, effects: &mut Effects) -> Option<Completion> {
         // The bringing thread, and with it the node, may have been stopped since it read the clock: a lease that has ended
         // meanwhile ends before the input has any effect (D153).
         let at = if self.coupled { stamped.at.max(clock::now()) } else { stamped.at };
         let elapsed = self.elapsed(at);
         let at = self.now() + elapsed.0;
-        let mut input = stamped.input;
-        if let Input::Packet(packet) = &mut input {
+        if let Input::Packet(packet) = &mut stamped.input {
             // Another thread has advanced the machine further: the packet is charged for that wait, too.
             packet.remaining = packet.remaining - Ticks(at.saturating_sub(stamped.at));
         }
         let mut completion = None;
-        self.run(
-            &Step { elapsed, input },
-            &mut |signal| completion = Some(Completion { signal, at }),
-            effects,
-        );
+        let answers = &mut |signal| completion = Some(Completion { signal, at });
+        self.run(elapsed, &stamped.input, answers, effects);
         completion
     }
 }

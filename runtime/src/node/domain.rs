@@ -69,11 +69,11 @@ impl Domain {
     }
 
     /// A member takes an input. Returns the answer for its thread.
-    fn take(&mut self, member: usize, stamped: Stamped, effects: &mut Effects) -> Option<Completion> {
+    fn take(&mut self, member: usize, stamped: &mut Stamped, effects: &mut Effects) -> Option<Completion> {
         match self.members[member].home.run_by {
             RunBy::AnyThread => {
                 self.with_runner(member, effects, |runner, turn, effects| {
-                    runner.take(turn, stamped, effects);
+                    runner.take(turn, *stamped, effects);
                 });
                 None
             }
@@ -148,16 +148,16 @@ impl Protected for Domain {
         packet.kind == Kind::Send && packet.class == Class::Status
     }
 
-    fn feed(&mut self, input: Addressed, effects: &mut Effects) -> Option<Completion> {
-        guarded("a communication task", || self.take(input.member, input.stamped, effects))
+    fn feed(&mut self, input: &mut Addressed, effects: &mut Effects) -> Option<Completion> {
+        guarded("a communication task", || self.take(input.member, &mut input.stamped, effects))
     }
 
     fn work_inside(&mut self, effects: &mut Effects) {
         for _ in 0..TURN {
             let Some((home, input)) = effects.inside.take(self.id) else { return };
             guarded("a communication task", || match input {
-                Some(stamped) => {
-                    self.take(home.member(), stamped, effects);
+                Some(mut stamped) => {
+                    self.take(home.member(), &mut stamped, effects);
                 }
                 None => {
                     self.with_runner(home.member(), effects, |runner, turn, effects| {
@@ -278,9 +278,9 @@ impl Turn<'_> {
         }
         self.change(own);
         let input = request.map_or(Input::Time, |&request| Input::Request(request));
-        let mut answer = self.take(Stamped { at, input }, effects);
+        let mut answer = self.take(&mut Stamped { at, input }, effects);
         if let (Some(&get), Some(Signal::Accepted(_))) = (then, answer.map(|answer| answer.signal)) {
-            answer = self.take(Stamped { at, input: Input::Request(get) }, effects);
+            answer = self.take(&mut Stamped { at, input: Input::Request(get) }, effects);
         }
         if let Some(answer) = answer {
             answers.put(own, answer);

@@ -1,5 +1,7 @@
 //! What a machine wants done: collected under its lock, carried out after the release by the thread that held it (D39).
 
+mod slot;
+
 use crate::clock::{self, Micros};
 use crate::link::udp::SEGMENTS;
 use crate::node::home::Home;

@@ -185,7 +185,8 @@ impl ScriptRunner {
 
     fn step(&mut self, comm: &mut Turn<'_>, step: Step, effects: &mut Effects) {
         let host = &mut self.host;
-        comm.run(&step, &mut |signal| host.tell(ScriptInput::Signal(signal)), effects);
+        let answers = &mut |signal| host.tell(ScriptInput::Signal(signal));
+        comm.run(step.elapsed, &step.input, answers, effects);
     }
 
     fn tell(&mut self, comm: &mut Turn<'_>, input: ScriptInput, effects: &mut Effects) {

@@ -6,11 +6,12 @@
 use crate::clock::{FAR, Micros, nanos_of};
 use crate::sync::handoff::Rest;
 use crate::sync::plant::{Plants, Sound};
-use crate::sync::{AtomicU64, Ordering, Word, fence};
+use crate::sync::{AtomicU64, Line, Ordering, Word, fence};
 
 #[derive(Debug)]
 pub(crate) struct Alarm<P = Sound> {
-    slots: Box<[AtomicU64]>,
+    /// Each in a cache line of its own, because the threads of two tasks publish in turn.
+    slots: Box<[Line<AtomicU64>]>,
     /// The instant until which the Timer thread sleeps.
     target: AtomicU64,
     rung: Word,
@@ -45,13 +46,13 @@ impl Alarm {
 impl<P: Plants<Plant>> Alarm<P> {
     /// As [`new`](Alarm::new), with a bug planted for a test.
     pub fn planted(slots: usize, plant: P) -> Self {
-        let slots = (0..slots).map(|_| AtomicU64::new(FAR)).collect();
+        let slots = (0..slots).map(|_| Line(AtomicU64::new(FAR))).collect();
         Self { slots, target: AtomicU64::new(FAR), rung: Word::new(0), plant }
     }
 
     /// Publishes when `slot` next expires. Called under the lock of that machine, so the last store is the newest value.
     pub fn publish(&self, slot: usize, at: Micros) {
-        let slot = &self.slots[slot];
+        let slot = &self.slots[slot].0;
         if slot.load(Ordering::Relaxed) == at {
             return;
         }
@@ -68,7 +69,7 @@ impl<P: Plants<Plant>> Alarm<P> {
 
     /// The instant that was last published in `slot`.
     pub fn slot(&self, slot: usize) -> Micros {
-        self.slots[slot].load(Ordering::Relaxed)
+        self.slots[slot].0.load(Ordering::Relaxed)
     }
 
     /// The earliest of all slots, as the Timer thread last saw them.
@@ -90,7 +91,7 @@ impl<P: Plants<Plant>> Alarm<P> {
             self.target.store(FAR, Ordering::Relaxed);
         }
         self.fence();
-        let at = self.slots.iter().map(|slot| slot.load(Ordering::Relaxed)).min().unwrap_or(FAR);
+        let at = self.slots.iter().map(|slot| slot.0.load(Ordering::Relaxed)).min().unwrap_or(FAR);
         self.target.store(at, Ordering::Relaxed);
         Earliest { at, rung }
     }

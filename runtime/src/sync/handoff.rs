@@ -8,19 +8,19 @@
 //! - [`Handoff::enter_and`] is for the task's own thread, which needs the answer.
 //!
 //! The answer (`Completion`) is written under the lock, together with the word on which the task's thread [waits](Waiting). While
-//! the word says that the thread spins, others leave their input to it. It finds the input at once, and its communication task
+//! the word says that the thread spins, others leave their input to it. It spins on the inbox, too, and its communication task
 //! stays in one core's cache (D128). For a running thread they leave only input that may wait until it enters (D130).
 //!
 //! The shared part knows nothing of messages: it is generic over the [`Protected`], so that tests can explore its interleavings
 //! with a state machine of two states.
 
 use crate::sync::awake::ThreadState;
-use crate::sync::inbox::Inbox;
+use crate::sync::inbox::{self, Inbox, Taker};
 use crate::sync::lead::Away;
 use crate::sync::plant::{Plants, Sound};
 pub(crate) use crate::sync::protected::{Entry, Protected, Rest, ThreadWaker};
 pub(crate) use crate::sync::waiting::Plant;
-use crate::sync::waiting::{AWAY, Leave, Waiting, Was};
+use crate::sync::waiting::{AWAY, Waiting, Was};
 use crate::sync::{Mutex, MutexGuard, Ordering, fence, lock, try_lock};
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -34,8 +34,7 @@ pub(crate) struct Handoff<S: Protected, P = Sound> {
 struct Core<S: Protected> {
     protected: S,
     completion: Option<S::Completion>,
-    /// The spare inbox: swapped with the full one.
-    batch: Vec<S::Input>,
+    taker: Taker,
     resting: bool,
     stopped: bool,
 }
@@ -50,10 +49,10 @@ impl<S: Protected> Handoff<S> {
 impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
     /// As [`new`](Handoff::new), with a bug planted for a test.
     pub fn planted(protected: S, waker: Option<Arc<dyn ThreadWaker>>, plant: P) -> Self {
-        let batch = Inbox::<S::Input>::spare();
+        let (inbox, taker) = Inbox::new();
         Self {
-            core: Mutex::new(Core { protected, completion: None, batch, resting: false, stopped: false }),
-            inbox: Inbox::new(),
+            core: Mutex::new(Core { protected, completion: None, taker, resting: false, stopped: false }),
+            inbox,
             waiting: Waiting::new(waker, plant),
         }
     }
@@ -63,55 +62,49 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         &self.waiting.thread_state
     }
 
-    /// Brings input from any thread. On return the input has been taken, or the present or next holder of the lock will take it.
-    pub fn deliver(&self, input: S::Input, effects: &mut S::Effects) {
-        let left = match self.waiting.leaves() {
-            Leave::All => self.leave(input).map(|()| self.call_waiter(effects)),
-            Leave::SomeOfIt if S::may_wait(&input) => {
-                self.inbox.leave_to_runner(input).map(|()| self.look_after_runner(effects))
-            }
-            Leave::SomeOfIt | Leave::Nothing => Err(input),
-        };
-        let Err(input) = left else { return };
-        if let Some(core) = try_lock(&self.core) {
-            self.work(core, Some(input), effects);
-        } else if let Err(input) = self.leave(input) {
-            if self.has(Plant::DropsWhenFull) {
-                return;
-            }
+    /// Brings input from any thread. On return the input has been taken, or the present or next holder of the lock will take it, or
+    /// the task's thread will.
+    pub fn deliver(&self, mut input: S::Input, effects: &mut S::Effects) {
+        let may_wait = S::may_wait(&input) && self.inbox.is_entered();
+        if !self.waiting.may_take(may_wait)
+            && let Some(core) = try_lock(&self.core)
+        {
+            self.work(core, Some(&mut input), effects);
+            return self.second_look(effects);
+        }
+        match self.inbox.leave(input) {
+            Ok(is_too_much) if self.waiting.takes(may_wait && !is_too_much) => return,
+            Ok(true) => self.inbox.is_too_much(),
+            Ok(false) => {}
+            Err(_) if self.has(Plant::DropsWhenFull) => return,
             // The lock is held for a bounded time, so this wait is bounded too.
-            self.work(lock(&self.core), Some(input), effects);
+            Err(mut input) => self.work(lock(&self.core), Some(&mut input), effects),
         }
         self.second_look(effects);
     }
 
     /// As [`deliver`](Self::deliver), for several inputs under one lock: takes all of `inputs`, in order.
     pub fn deliver_all(&self, inputs: &mut VecDeque<S::Input>, effects: &mut S::Effects) {
-        if self.waiting.is_looking() {
-            while let Some(input) = inputs.pop_front() {
-                if let Err(input) = self.leave(input) {
-                    inputs.push_front(input);
-                    break;
-                }
-            }
-            if inputs.is_empty() {
-                return self.call_waiter(effects);
-            }
-        }
-        if let Some(core) = try_lock(&self.core) {
-            self.work(core, inputs.drain(..), effects);
+        if !self.waiting.may_take(false)
+            && let Some(core) = try_lock(&self.core)
+        {
+            self.work(core, inputs.iter_mut(), effects);
+            inputs.clear();
         }
         while let Some(input) = inputs.pop_front() {
-            if let Err(input) = self.leave(input) {
-                self.work(lock(&self.core), std::iter::once(input).chain(inputs.drain(..)), effects);
+            if let Err(mut input) = self.leave(input) {
+                self.work(lock(&self.core), std::iter::once(&mut input).chain(inputs.iter_mut()), effects);
+                inputs.clear();
             }
         }
-        self.second_look(effects);
+        if !self.waiting.takes(false) {
+            self.second_look(effects);
+        }
     }
 
     /// As [`deliver`](Self::deliver), but on return the input has been taken.
-    pub fn deliver_now(&self, input: S::Input, effects: &mut S::Effects) {
-        self.work(lock(&self.core), Some(input), effects);
+    pub fn deliver_now(&self, mut input: S::Input, effects: &mut S::Effects) {
+        self.work(lock(&self.core), Some(&mut input), effects);
         self.second_look(effects);
     }
 
@@ -125,27 +118,27 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
     /// answer, brings that input, too, under the same lock.
     pub fn enter_and(
         &self,
-        input: S::Input,
+        mut input: S::Input,
         more: impl FnMut(&S::Completion) -> Option<S::Input>,
         effects: &mut S::Effects,
     ) -> Entry<S::Completion> {
         let mut core = self.come_in();
         self.drain(&mut core, effects);
-        core.feed(input, effects);
+        core.feed(&mut input, effects);
         self.go_on(core, more, effects)
     }
 
     /// As [`enter_and`](Self::enter_and), for a thread that has waited: if there is an answer already, it brings no input.
     pub fn come_back_and(
         &self,
-        input: S::Input,
+        mut input: S::Input,
         more: impl FnMut(&S::Completion) -> Option<S::Input>,
         effects: &mut S::Effects,
     ) -> Entry<S::Completion> {
         let mut core = self.come_in();
         self.drain(&mut core, effects);
         if core.completion.is_none() {
-            core.feed(input, effects);
+            core.feed(&mut input, effects);
         }
         self.go_on(core, more, effects)
     }
@@ -166,13 +159,13 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
     ) -> Entry<S::Completion> {
         let completion = loop {
             let completion = core.completion.take();
-            let Some(next) = completion.as_ref().and_then(&mut more) else { break completion };
+            let Some(mut next) = completion.as_ref().and_then(&mut more) else { break completion };
             // A drain moves the inbox's cache line to this core, but a full inbox would make others wait for the lock.
             if self.inbox.is_half_full() {
                 self.inbox.come_in();
                 self.drain(&mut core, effects);
             }
-            core.feed(next, effects);
+            core.feed(&mut next, effects);
         };
         let stopped = core.stopped;
         core.resting = completion.is_none() && !stopped;
@@ -228,27 +221,11 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         let mut looks = false;
         let mut there = || {
             let begins = !std::mem::replace(&mut looks, true);
-            (begins && self.waiting.begins_to_look(|| self.has_left()))
-                || self.is_called()
-                || (take_in() && self.is_called())
+            let is_there = || self.is_called() || (self.has_left() && !self.has(Plant::LooksPastIt));
+            (begins && self.waiting.begins_to_look()) || is_there() || (take_in() && is_there())
         };
         let found = look(&mut there);
         found || (looks && self.waiting.ends_its_look())
-    }
-
-    /// Input was left to the running thread: drains the inbox if that thread no longer runs.
-    fn look_after_runner(&self, effects: &mut S::Effects) {
-        if self.waiting.runs_no_longer() {
-            self.second_look(effects);
-        }
-    }
-
-    /// Input was left to the spinning thread: calls it.
-    fn call_waiter(&self, effects: &mut S::Effects) {
-        if !self.waiting.call_waiter() {
-            // The thread spins no longer, so it may have drained the inbox before this input came.
-            self.second_look(effects);
-        }
     }
 
     /// Ends all waits of the task, now and later.
@@ -315,26 +292,31 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
     /// Puts input into the inbox without taking the lock, or returns it if the inbox is full. The next thread that enters takes
     /// the input; [`wake`](Self::wake) makes sure that one does.
     pub fn leave(&self, input: S::Input) -> Result<(), S::Input> {
-        self.inbox.leave(input)
+        self.inbox.leave(input).map(|_| ())
     }
 
-    fn work(
+    fn work<'a>(
         &self,
         core: MutexGuard<'_, Core<S>>,
-        inputs: impl IntoIterator<Item = S::Input>,
+        inputs: impl IntoIterator<Item = &'a mut S::Input>,
         effects: &mut S::Effects,
-    ) {
+    ) where
+        S::Input: 'a,
+    {
         self.work_and(core, inputs, |_| (), effects);
     }
 
     /// Drains the inbox, feeds `inputs`, and then calls `then` with the protected state.
-    fn work_and<R>(
+    fn work_and<'a, R>(
         &self,
         mut core: MutexGuard<'_, Core<S>>,
-        inputs: impl IntoIterator<Item = S::Input>,
+        inputs: impl IntoIterator<Item = &'a mut S::Input>,
         then: impl FnOnce(&mut S) -> R,
         effects: &mut S::Effects,
-    ) -> R {
+    ) -> R
+    where
+        S::Input: 'a,
+    {
         let had_completion = core.completion.is_some();
         self.drain(&mut core, effects);
         for input in inputs {
@@ -353,16 +335,12 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         done
     }
 
+    /// Takes what is in the inbox: at most what it has room for, so that the lock is held for a bounded time.
     fn drain(&self, core: &mut Core<S>, effects: &mut S::Effects) {
-        if self.inbox.is_empty() {
-            return;
+        for _ in 0..inbox::ROOM {
+            let Some(mut input) = self.inbox.take(&mut core.taker) else { return };
+            core.feed(&mut input, effects);
         }
-        self.inbox.take(&mut core.batch);
-        let mut batch = std::mem::take(&mut core.batch);
-        for input in batch.drain(..) {
-            core.feed(input, effects);
-        }
-        core.batch = batch;
     }
 
     /// Drains the inbox of input that was left while the lock was taken. The fence pairs with the one of another thread here: one
@@ -404,7 +382,7 @@ impl<S: Protected, P: Plants<Plant>> Away for Handoff<S, P> {
 }
 
 impl<S: Protected> Core<S> {
-    fn feed(&mut self, input: S::Input, effects: &mut S::Effects) {
+    fn feed(&mut self, input: &mut S::Input, effects: &mut S::Effects) {
         if let Some(completion) = self.protected.feed(input, effects) {
             self.completion = Some(completion);
         }

@@ -1,98 +1,205 @@
-//! Input left for the next thread that runs a communication task: stored without that task's lock, taken in the same order.
+//! Input left for the next thread that runs a communication task: a ring of slots, taken in the order in which it was left (D201).
+//!
+//! Threads that leave input agree on its place under a lock that only they take. The thread that holds the lock of the
+//! communication task takes the input without that lock: the number in a slot says which input the slot holds. So an input
+//! crosses from one core to another in one cache line, and a thread that spins on the next slot sees the input with that line.
 
-use crate::sync::{AtomicUsize, Mutex, Ordering, lock};
+use crate::sync::plant::{Plants, Sound};
+use crate::sync::{AtomicU64, Line, Mutex, Ordering, lock};
 /// This is the standard atomic, which no explorer explores, because the flag is only a hint.
 use std::sync::atomic::AtomicBool;
 
 /// How many inputs fit into an inbox. Once it is full, a thread that brings more waits for the lock.
-const ROOM: usize = 64;
+#[cfg(not(test))]
+pub(super) const ROOM: u64 = 64;
+/// Explorers make each slot anew for every schedule, and few inputs shall come around.
+#[cfg(test)]
+pub(super) const ROOM: u64 = 2;
 
 /// How many inputs at most wait for a running thread: it works them off whatever it enters for (D130).
-const FOR_A_RUNNER: usize = 32;
+const FOR_A_RUNNER: u64 = ROOM / 2;
 
-/// An inbox has cache lines of its own, because both ends write to it.
-#[repr(align(64))]
-pub(crate) struct Inbox<I> {
-    inputs: Mutex<Vec<I>>,
-    /// How many inputs there are, readable without the lock.
-    count: AtomicUsize,
-    /// Whether the task's thread has entered since a thread last found no room for a runner.
-    comes_in: AtomicBool,
-    /// The room, and whether a thread found none.
-    #[cfg(test)]
-    pub room: (usize, AtomicBool),
+/// An input that fits into a slot.
+pub(crate) trait Slotted: Sized {
+    /// Its words.
+    type Words: AsRef<[u64]> + AsMut<[u64]> + Default;
+    /// As many atomics.
+    type Atomics: AsRef<[AtomicU64]>;
+
+    /// The atomics of an empty slot.
+    fn atomics() -> Self::Atomics;
+
+    /// The input as words. `None` for an input that is never left.
+    fn to_words(&self) -> Option<Self::Words>;
+
+    /// The input that these words are.
+    fn of_words(words: &Self::Words) -> Self;
 }
 
-impl<I> Inbox<I> {
-    pub fn new() -> Self {
-        Self {
-            inputs: Mutex::new(Vec::with_capacity(ROOM)),
-            count: AtomicUsize::new(0),
-            comes_in: AtomicBool::new(false),
+/// An input in a cache line of its own.
+#[repr(align(64))]
+struct Slot<I: Slotted> {
+    /// How many inputs had been left when this one was, itself included; zero before the first.
+    number: AtomicU64,
+    words: I::Atomics,
+}
+
+/// What the threads that leave input share.
+struct Leaving {
+    /// How many inputs were left.
+    left: u64,
+    /// How many of them were taken, when a thread that leaves input last asked.
+    taken: u64,
+}
+
+/// The bugs that the explorers must find.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Plant {
+    /// The number is in the slot before the words are.
+    NumberFirst,
+    /// The slot is given back before its words are read.
+    TakenFirst,
+    /// Input is left although there is no room.
+    Overfull,
+    /// Input is put into its slot after the lock for its place is released.
+    OutOfTurn,
+}
+
+pub(crate) struct Inbox<I: Slotted, P = Sound> {
+    slots: Box<[Slot<I>; ROOM as usize]>,
+    leaving: Line<Mutex<Leaving>>,
+    /// How many inputs were taken. Only a thread that holds the lock of the communication task writes it.
+    taken: Line<AtomicU64>,
+    /// Whether the task's thread has entered since too much last waited for it.
+    comes_in: Line<AtomicBool>,
+    /// The room, and whether a thread found none.
+    #[cfg(test)]
+    pub room: (u64, AtomicBool),
+    plant: P,
+}
+
+/// Takes from an inbox. There is one, behind the lock of the communication task.
+pub(crate) struct Taker {
+    taken: u64,
+}
+
+impl<I: Slotted> Inbox<I> {
+    /// An empty inbox, and what takes from it.
+    pub fn new() -> (Self, Taker) {
+        Self::planted(Sound)
+    }
+}
+
+impl<I: Slotted, P: Plants<Plant>> Inbox<I, P> {
+    /// As [`new`](Inbox::new), with a bug planted for a test.
+    pub fn planted(plant: P) -> (Self, Taker) {
+        let slot = |_| Slot { number: AtomicU64::new(0), words: I::atomics() };
+        let inbox = Self {
+            slots: Box::new(std::array::from_fn(slot)),
+            leaving: Line(Mutex::new(Leaving { left: 0, taken: 0 })),
+            taken: Line(AtomicU64::new(0)),
+            comes_in: Line(AtomicBool::new(false)),
             #[cfg(test)]
             room: (ROOM, AtomicBool::new(false)),
-        }
+            plant,
+        };
+        (inbox, Taker { taken: 0 })
     }
 
-    /// An empty vector for the inputs that [`take`](Self::take) takes.
-    pub fn spare() -> Vec<I> {
-        Vec::with_capacity(ROOM)
-    }
-
-    /// Puts input into the inbox, or returns it if there is no room.
-    pub fn leave(&self, input: I) -> Result<(), I> {
-        self.leave_up_to(ROOM, input)
-    }
-
-    /// As [`leave`](Self::leave), for a running thread that keeps entering: at most as much as it may have to work off.
-    pub fn leave_to_runner(&self, input: I) -> Result<(), I> {
-        if !self.comes_in.load(Ordering::Relaxed) {
-            return Err(input);
-        }
-        let left = self.leave_up_to(FOR_A_RUNNER, input);
-        if left.is_err() {
-            self.comes_in.store(false, Ordering::Relaxed);
-        }
-        left
-    }
-
-    fn leave_up_to(&self, most: usize, input: I) -> Result<(), I> {
-        let mut inputs = lock(&self.inputs);
+    /// Puts input into the inbox, or returns it if there is no room. Says whether more waits now than a running thread shall have to
+    /// work off.
+    pub fn leave(&self, input: I) -> Result<bool, I> {
         #[cfg(test)]
-        if inputs.len() >= self.room.0 {
+        let room = self.room.0;
+        #[cfg(not(test))]
+        let room = ROOM;
+        let Some(words) = input.to_words() else { return Err(input) };
+        let mut leaving = lock(&self.leaving.0);
+        if leaving.left - leaving.taken >= FOR_A_RUNNER {
+            // The acquire pairs with the release in `take`: what was in the slot has been read.
+            leaving.taken = self.taken.0.load(Ordering::Acquire);
+        }
+        let waits = leaving.left - leaving.taken;
+        if waits >= room && !self.plant.has(Plant::Overfull) {
+            #[cfg(test)]
             self.room.1.store(true, Ordering::Relaxed);
             return Err(input);
         }
-        if inputs.len() >= most {
-            return Err(input);
+        let slot = self.slot(leaving.left);
+        leaving.left += 1;
+        let number = leaving.left;
+        if self.plant.has(Plant::NumberFirst) {
+            slot.number.store(number, Ordering::Release);
         }
-        inputs.push(input);
-        self.count.store(inputs.len(), Ordering::Relaxed);
-        Ok(())
+        // In the order of the numbers, so that no input has to wait in the ring for one before it.
+        let leaving = (!self.plant.has(Plant::OutOfTurn)).then_some(leaving);
+        for (atomic, &word) in slot.words.as_ref().iter().zip(words.as_ref()) {
+            atomic.store(word, Ordering::Relaxed);
+        }
+        slot.number.store(number, Ordering::Release);
+        drop(leaving);
+        Ok(waits >= FOR_A_RUNNER)
     }
 
-    /// Whether the inbox is empty. The load is relaxed: a caller that must not miss what `leave` stored fences before.
+    /// Takes the next input, if there is one.
+    pub fn take(&self, taker: &mut Taker) -> Option<I> {
+        let slot = self.slot(taker.taken);
+        if slot.number.load(Ordering::Acquire) <= taker.taken {
+            return None;
+        }
+        if self.plant.has(Plant::TakenFirst) {
+            self.taken.0.store(taker.taken + 1, Ordering::Release);
+        }
+        let mut words = I::Words::default();
+        for (word, atomic) in words.as_mut().iter_mut().zip(slot.words.as_ref()) {
+            *word = atomic.load(Ordering::Relaxed);
+        }
+        taker.taken += 1;
+        self.taken.0.store(taker.taken, Ordering::Release);
+        Some(I::of_words(&words))
+    }
+
+    /// Whether the inbox is empty. The loads are relaxed: a caller that must not miss what `leave` stored fences before. A caller
+    /// that does not hold the lock of the communication task may find input that another thread has taken meanwhile.
     pub fn is_empty(&self) -> bool {
-        self.count.load(Ordering::Relaxed) == 0
+        !self.holds(1)
     }
 
     /// Whether the inbox is at least half full.
     pub fn is_half_full(&self) -> bool {
-        self.count.load(Ordering::Relaxed) >= ROOM / 2
+        self.holds(ROOM / 2)
     }
 
-    /// Swaps the inputs with the vector `empty`.
-    pub fn take(&self, empty: &mut Vec<I>) {
-        let mut inputs = lock(&self.inputs);
-        std::mem::swap(&mut *inputs, empty);
-        self.count.store(0, Ordering::Relaxed);
+    /// Whether there are at least so many inputs.
+    fn holds(&self, count: u64) -> bool {
+        let last = self.taken.0.load(Ordering::Relaxed) + count;
+        self.slot(last - 1).number.load(Ordering::Relaxed) >= last
+    }
+
+    fn slot(&self, before: u64) -> &Slot<I> {
+        // The remainder is less than the length of the slice.
+        &self.slots[(before % ROOM) as usize]
     }
 
     /// Notes that the task's thread has entered, and so takes all inputs that are there.
     pub fn come_in(&self) {
+        self.set_entered(true);
+    }
+
+    /// Notes that too much waits for a running thread.
+    pub fn is_too_much(&self) {
+        self.set_entered(false);
+    }
+
+    /// Whether the task's thread enters so often that input may be left to it. It is only a hint.
+    pub fn is_entered(&self) -> bool {
+        self.comes_in.0.load(Ordering::Relaxed)
+    }
+
+    fn set_entered(&self, entered: bool) {
         // The flag is written only if it changes, because other threads read its cache line.
-        if !self.comes_in.load(Ordering::Relaxed) {
-            self.comes_in.store(true, Ordering::Relaxed);
+        if self.is_entered() != entered {
+            self.comes_in.0.store(entered, Ordering::Relaxed);
         }
     }
 }

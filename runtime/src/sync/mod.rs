@@ -46,6 +46,11 @@ mod real {
     }
 }
 
+/// A value in cache lines of its own, because several cores write it, or what would be beside it.
+#[derive(Debug)]
+#[repr(align(64))]
+pub(crate) struct Line<T>(pub T);
+
 /// A futex word: a number that one thread can sleep on.
 #[derive(Debug)]
 pub(crate) struct Word {

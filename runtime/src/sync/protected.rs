@@ -1,9 +1,11 @@
 //! The interface between a hand-off and the data structure behind it.
 
+use crate::sync::inbox::Slotted;
+
 /// The data structure behind the combining lock.
 pub(crate) trait Protected {
     /// The input that threads bring.
-    type Input;
+    type Input: Slotted;
     /// The answer that its task waits for.
     type Completion;
     /// What the thread carries out once the lock is released. Owned by the caller.
@@ -12,8 +14,8 @@ pub(crate) trait Protected {
     /// Whether only the task's thread needs the result of this input, so that the input may wait until that thread enters.
     fn may_wait(input: &Self::Input) -> bool;
 
-    /// Takes one input. Returns an answer for the task, if there is one.
-    fn feed(&mut self, input: Self::Input, effects: &mut Self::Effects) -> Option<Self::Completion>;
+    /// Takes one input, and may change it. Returns an answer for the task, if there is one.
+    fn feed(&mut self, input: &mut Self::Input, effects: &mut Self::Effects) -> Option<Self::Completion>;
 
     /// Processes what earlier inputs left inside of the protected state. Called after each group of inputs that a
     /// thread processes for others.

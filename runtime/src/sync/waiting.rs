@@ -8,13 +8,13 @@
 //!      \--------------------------------------- enters ----------------------------- READY
 //! ```
 //!
-//! While the thread spins, others leave all input in the inbox for it. While it runs, they leave only input that may wait. So a
-//! thread checks the inbox after it has changed the word from `RUNNING`. Others check the word after they have left input.
+//! While the thread spins, others leave all input in the inbox for it. While it runs, they leave only input that may wait. So the
+//! thread checks the inbox after it has changed the word. Others check the word after they have left input.
 
 use crate::sync::awake::ThreadState;
 use crate::sync::plant::{Plants, Sound};
 use crate::sync::protected::ThreadWaker;
-use crate::sync::{Ordering, Word, fence};
+use crate::sync::{Line, Ordering, Word, fence};
 use std::sync::Arc;
 
 /// The task's thread runs.
@@ -25,7 +25,7 @@ const SLEEPING: u32 = 1;
 const READY: u32 = 2;
 /// The task's thread waits in the link, or is about to: the waker wakes it.
 pub(super) const AWAY: u32 = 3;
-/// The task's thread spins on its word; it drains the inbox when it is called.
+/// The task's thread spins on its word and on the inbox.
 const LOOKING: u32 = 4;
 
 /// The bugs that the explorers must find.
@@ -47,29 +47,16 @@ pub(crate) enum Plant {
     DropsWhenFull,
     /// A thread that has spun goes to sleep without checking the word again.
     SleepsBlindly,
-    /// A thread that left input for a spinning thread does not check whether that thread still spins.
+    /// A thread that left input that may not wait does not check whether the task's thread spins.
     TrustsTheLook,
-    /// A thread that left input for a running thread does not check whether that thread still runs.
+    /// A thread that left input that may wait does not check whether the task's thread runs.
     TrustsTheRun,
-    /// A thread that goes to sleep does not check for input left while it ran.
+    /// A thread that goes to sleep does not check for input that was left to it.
     SleepsOnIt,
-    /// A thread that begins to spin does not check for input left while it ran.
+    /// A thread that spins checks only its word, and not the inbox.
     LooksPastIt,
-    /// Neither a running thread nor a thread that leaves input to it has a fence between its write and its read.
+    /// Neither a thread to which input is left nor the one that leaves it has a fence between its write and its read.
     NoFenceForARunner,
-}
-
-/// A value in a cache line of its own, because two cores write it in turn.
-#[repr(align(64))]
-struct Line<T>(T);
-
-/// Which input others leave in the inbox for a task's thread.
-pub(super) enum Leave {
-    /// All: the thread spins.
-    All,
-    /// Only what may wait: the thread runs.
-    SomeOfIt,
-    Nothing,
 }
 
 /// The state of a task's thread before its word was marked: [`call`](Waiting::call) wakes the thread accordingly.
@@ -95,21 +82,18 @@ impl<P: Plants<Plant>> Waiting<P> {
         Self { word: Line(Word::new(RUNNING)), thread_state: ThreadState::new(), waker, plant }
     }
 
-    /// Which input may be left to the thread now.
-    pub fn leaves(&self) -> Leave {
-        match self.word.0.load() {
-            LOOKING => Leave::All,
-            RUNNING => Leave::SomeOfIt,
-            _ => Leave::Nothing,
-        }
-    }
-
     fn is_running(&self) -> bool {
         self.word.0.load() == RUNNING
     }
 
-    pub fn is_looking(&self) -> bool {
-        self.word.0.load() == LOOKING
+    /// Whether the thread is about to take input, which may wait for a running thread or not. Another thread may change that at any
+    /// time, so one that leaves input [asks again](Self::takes).
+    pub fn may_take(&self, may_wait: bool) -> bool {
+        match self.word.0.load() {
+            LOOKING => true,
+            RUNNING => may_wait,
+            _ => false,
+        }
     }
 
     /// Whether there is something for the task's thread.
@@ -117,12 +101,11 @@ impl<P: Plants<Plant>> Waiting<P> {
         self.word.0.load() == READY
     }
 
-    /// The thread enters, under the lock. It writes only if needed, because others read the word's cache line. It is a
-    /// swap, because another thread may call a thread that spun at this moment: the acquire pairs with the `replace` in
-    /// `call_waiter`, so this thread sees input that was left before it.
+    /// The thread enters, under the lock. It writes only if needed, because others read the word's cache line. All others write
+    /// the word under the lock, too.
     pub fn comes_in(&self) {
         if !self.is_running() {
-            self.word.0.swap(RUNNING);
+            self.word.0.store(RUNNING);
         }
     }
 
@@ -154,11 +137,6 @@ impl<P: Plants<Plant>> Waiting<P> {
         if let Some(waker) = self.waker.as_ref().filter(|_| was == AWAY) {
             waker.wake();
         }
-    }
-
-    /// Tells a spinning thread that input was left to it. False if the thread no longer spins, or was called before.
-    pub fn call_waiter(&self) -> bool {
-        self.word.0.replace(LOOKING, READY) || self.plant.has(Plant::TrustsTheLook)
     }
 
     /// Sleeps until the word is marked or `deadline` passes, unless something `was_left`. False if there was something already.
@@ -200,8 +178,8 @@ impl<P: Plants<Plant>> Waiting<P> {
     }
 
     /// The thread begins to spin. True if there is something for it already.
-    pub fn begins_to_look(&self, was_left: impl FnOnce() -> bool) -> bool {
-        !self.word.0.replace(RUNNING, LOOKING) || (!self.plant.has(Plant::LooksPastIt) && self.asks(was_left))
+    pub fn begins_to_look(&self) -> bool {
+        !self.word.0.replace(RUNNING, LOOKING)
     }
 
     /// The thread stops spinning. True if it was called.
@@ -209,24 +187,23 @@ impl<P: Plants<Plant>> Waiting<P> {
         !self.word.0.replace(LOOKING, RUNNING)
     }
 
-    /// Whether input was left to the thread while it ran. Called after the word has left `RUNNING`.
+    /// Whether input was left to the thread while it ran or span. Called after the word has the value with which it waits.
     fn asks(&self, was_left: impl FnOnce() -> bool) -> bool {
         if self.plant.has(Plant::SleepsOnIt) {
             return false;
         }
-        // Pairs with the fence in `runs_no_longer`: either its load sees the new word, or `was_left` sees the new inbox count.
+        // Pairs with the fence in `takes`: either its load sees the new word, or `was_left` sees the new input.
         self.fence_for_a_runner();
         was_left()
     }
 
-    /// Whether the thread to which input was left no longer runs. Called after the input is in the inbox. The fence, between the
-    /// store of the inbox count and the load of the word, pairs with the one in `asks`.
-    pub fn runs_no_longer(&self) -> bool {
-        if self.plant.has(Plant::TrustsTheRun) {
-            return false;
-        }
+    /// Whether the thread takes the input that was left to it a moment ago, and that may wait for a running thread or not. The
+    /// fence, between the store into the inbox and the load of the word, pairs with the one in `asks`, and with the one before a
+    /// thread that has entered rechecks the inbox.
+    pub fn takes(&self, may_wait: bool) -> bool {
         self.fence_for_a_runner();
-        !self.is_running()
+        self.may_take(may_wait)
+            || self.plant.has(if may_wait { Plant::TrustsTheRun } else { Plant::TrustsTheLook })
     }
 
     fn fence_for_a_runner(&self) {

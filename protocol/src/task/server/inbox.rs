@@ -262,6 +262,11 @@ impl Inbox {
         long.assemblies.iter().filter(|a| a.is_open()).map(|a| a.expires).fold(first, Instant::min)
     }
 
+    /// Which message is the most urgent, and when it expires: no two messages have the same number of arrival.
+    pub fn front(&self) -> Option<(u64, Instant)> {
+        self.queue.first().map(|(_, held)| (held.arrival, held.expires))
+    }
+
     /// Stores a message. A full buffer evicts its least urgent message if the newcomer is more urgent; otherwise the
     /// newcomer is refused (D60).
     ///
