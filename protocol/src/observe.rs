@@ -271,7 +271,7 @@ pub struct PortView {
 /// separate things (D4).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct HeldView {
-    /// The message that the server holds.
+    /// The waiting message.
     pub entry: QueueEntry,
     /// The message's arrival number among all messages that the task stored: a lower one arrived earlier. In a task that was
     /// read from packed bytes, only the numbers of messages of one source and port can be compared.

@@ -13,7 +13,7 @@ use crate::table::{Ends, NodeTable};
 use crate::task::{CommTask, Outbox};
 use alloc::collections::VecDeque;
 
-/// What a request is about that a task may take as one fused step with another task of its node (D176).
+/// What a request concerns that one fused step may carry out: one other task of the same node (D176).
 #[derive(Clone, Copy, Debug)]
 pub struct Fusible<'a> {
     ends: Ends<'a>,
@@ -22,7 +22,7 @@ pub struct Fusible<'a> {
 }
 
 impl<'a> Fusible<'a> {
-    /// What `request` of `task` is about. `None` if it concerns no other task of the node, or several.
+    /// What `request` of `task` concerns. `None` if the request concerns no other task of the node, or several.
     #[must_use]
     #[inline(always)]
     pub fn of(table: &'a NodeTable, task: TaskId, request: &Request) -> Option<Self> {
@@ -40,8 +40,9 @@ impl<'a> Fusible<'a> {
         Some(Self { ends: Ends { port, own, peer }, other: table.place(peer.task)? })
     }
 
-    /// The task `own` takes the request as one step together with `other`. Both must stand at the same time, and
-    /// `other` must have taken all that `own` sent before. False, and nothing has changed, if anything about it is unusual.
+    /// The task `own` takes the request in one step together with the task `other`. The clocks of both must show the same
+    /// time, and `other` must have taken all that `own` sent before. Returns false, and changes nothing, if the request
+    /// needs small steps.
     #[inline(always)]
     pub fn step(
         self,
@@ -61,8 +62,8 @@ impl<'a> Fusible<'a> {
 }
 
 impl Node {
-    /// Takes a request as one fused step with the other tasks that it concerns (D176, D193); [`step`](Self::step) does so by itself.
-    /// False, and nothing has changed, if anything about it is unusual.
+    /// Takes a request as one fused step with the other tasks that it concerns (D176, D193); [`step`](Self::step) does so
+    /// by itself. Returns false, and changes nothing, if the request needs small steps.
     pub fn fuse(&mut self, task: TaskId, request: &Request, out: &mut impl NodeOutbox) -> bool {
         let Parts { table, tasks, .. } = &mut self.parts;
         let Some(fusible) = Fusible::of(table, task, request) else {
@@ -73,7 +74,7 @@ impl Node {
         fusible.step(own, other, request, out)
     }
 
-    /// Of its own, so that messages and answers do not pay for it.
+    /// A function of its own, so that messages and answers do not become slower by it.
     #[inline(never)]
     fn gather(&mut self, task: TaskId, request: &Request, out: &mut impl NodeOutbox) -> bool {
         let Parts { table, tasks, .. } = &mut self.parts;
