@@ -1,4 +1,4 @@
-//! Properties that hold for any bytes; also the body of the fuzz target `cell`.
+//! Checks properties that hold for any bytes; also the body of the fuzz target `cell`.
 
 use imrs_language::lower::Behaviour;
 use imrs_language::{Options, Source, Unit, compile_with, format, parse, render};
