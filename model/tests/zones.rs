@@ -1,4 +1,4 @@
-//! The search by zones against the search at every tick: both must find and reach the same.
+//! Compares the search by zones with the search at every tick: both must find and reach the same.
 
 use crate::cells::{Text, within};
 use crate::guard::{number, random_cell};
@@ -9,13 +9,13 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Most states of a search at every tick: larger ones are left out.
+/// The greatest number of states of a search at every tick. Larger searches are left out.
 fn states() -> u64 {
     number("IMRS_STATES", 4_000)
 }
 
-/// Whether a finding is of tasks that wait for ever while others go on. The search at every tick looks for these in some states only,
-/// which depend on what it keeps; zones look in all.
+/// Whether a finding is about tasks that wait for ever while others go on. The search at every tick looks for such tasks
+/// only in some states, which depend on what it keeps. The search by zones looks in all states.
 fn waits(found: &Finding) -> bool {
     matches!(found.kind, Kind::Deadlock | Kind::WaitsForEver)
 }
@@ -25,7 +25,7 @@ fn told(verdicts: &Verdicts, is_pruned: bool) -> Vec<String> {
     fn words(all: &[impl Debug]) -> impl Iterator<Item = String> {
         all.iter().map(|one| format!("{one:?}"))
     }
-    // Behind a deadlock nothing is proved of statements that were not reached.
+    // After a deadlock, nothing is proved about statements that were not reached.
     let is_told = |found: &&Finding| !(waits(found) || is_pruned && found.kind == Kind::Unreached);
     let found = verdicts.findings.iter().filter(is_told).map(|found| {
         // Starvation is judged on one path only.
@@ -47,7 +47,7 @@ fn told(verdicts: &Verdicts, is_pruned: bool) -> Vec<String> {
     all
 }
 
-/// The tasks that wait for ever, and where.
+/// The tasks that wait for ever, and where they wait.
 fn waiting(verdicts: &Verdicts) -> BTreeSet<String> {
     let found = verdicts.findings.iter().chain(&verdicts.warnings).filter(|found| waits(found));
     found.map(|found| format!("{:?} at {:?}", found.task, found.address)).collect()
@@ -58,7 +58,7 @@ fn stands_still(verdicts: &Verdicts) -> bool {
     verdicts.warnings.iter().any(|found| found.kind == Kind::Standstill)
 }
 
-/// How many searches were compared, and their states.
+/// How many searches were compared, and how many states they had.
 #[derive(Debug, Default)]
 struct Compared {
     cells: u64,
@@ -68,7 +68,8 @@ struct Compared {
     missed: u64,
     every: u64,
     zones: u64,
-    /// The states of the searches by zones that were made without reductions, too, and those of these.
+    /// For searches by zones that were also made without reductions: the number of states with reductions. The next field
+    /// has the number without.
     reduced: u64,
     plain: u64,
 }
@@ -87,7 +88,7 @@ impl Compared {
     }
 }
 
-/// Compares the verdicts of the search by zones and of the search at every tick; `None` if the latter takes
+/// Compares the verdicts of the search by zones and of the search at every tick; `None` if the search at every tick takes
 /// too many states.
 fn compare(name: &str, cell: &mut Text, states: u64) -> Option<Compared> {
     cell.plan.faults.retain(covered);
@@ -106,7 +107,7 @@ fn compare(name: &str, cell: &mut Text, states: u64) -> Option<Compared> {
     assert!(more.is_superset(&fewer), "{name}: only {more:?} by zones, {fewer:?} at every tick");
     let is_pruned = more != fewer;
     assert_eq!(told(&zones, is_pruned), told(&every, is_pruned), "{name}, by zones and at every tick");
-    // Zones miss a standstill to which only some times of a zone lead.
+    // The search by zones misses a standstill to which only some times of a zone lead.
     assert!(stands_still(&every) || !stands_still(&zones), "{name}: a standstill only by zones");
     let missed = u64::from(stands_still(&every) && !stands_still(&zones));
     let (plain, reduced) = compare_plain(name, cell, &zones);
@@ -120,7 +121,8 @@ fn kept(verdicts: &Verdicts) -> u64 {
     verdicts.phases.iter().map(|phase| phase.states).sum()
 }
 
-/// Compares the verdict by zones with that of zones without reductions. Returns the states of both, or zeros if that takes too many.
+/// Compares the verdict by zones with the verdict by zones without reductions. Returns the numbers of states of both, or
+/// zeros if the search without reductions takes too many.
 fn compare_plain(name: &str, cell: &mut Text, zones: &Verdicts) -> (u64, u64) {
     cell.plan.everything = true;
     let plain = check_cell(&Arc::new(cell.plan.clone()));
@@ -153,7 +155,8 @@ fn random_cells_are_found_the_same_by_zones() {
     assert!(all.zones < all.every && all.reduced < all.plain, "{all:?}");
 }
 
-/// Prints a line of a table for each search of a cell: its states, its seconds, and the most memory that this process has used.
+/// Prints a line of a table for each search of a cell: its states, its seconds, and the greatest memory that this process
+/// has used.
 fn measure(name: &str, cell: &mut Text, seconds: u64) {
     cell.plan.faults.retain(covered);
     cell.plan.budget = Budget { seconds: Duration::from_secs(seconds).as_secs_f64(), ..Budget::default() };

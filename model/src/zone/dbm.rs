@@ -1,34 +1,34 @@
-//! Difference-bound matrices over integers: sets of points that bounds on differences of variables describe.
+//! Difference-bound matrices over integers: each describes a set of points by bounds on differences of variables.
 
 use std::fmt;
 
-/// No bound.
+/// The value that stands for no bound.
 const FREE: i64 = i64::MAX;
 
-/// A non-empty set of integer points. For each pair of variables it holds the least `c` with `x_i - x_j <= c` at all points
-/// (closed), so two matrices are equal exactly if their sets are. The first variable is zero.
+/// A non-empty set of integer points. For each pair of variables the matrix holds the least `c` with `x_i - x_j <= c` at
+/// all points (closed), so two matrices are equal exactly if their sets are. The first variable is zero.
 #[derive(Clone, PartialEq, Eq, Hash)]
 pub(crate) struct Dbm {
     len: usize,
     bounds: Vec<i64>,
 }
 
-/// A constraint made the set empty.
+/// The error that a constraint would make the set empty.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Empty;
 
-/// A sum of two bounds.
+/// The sum of two bounds, which is no bound if either is none.
 const fn plus(a: i64, b: i64) -> i64 {
     if a == FREE || b == FREE { FREE } else { a + b }
 }
 
 impl Dbm {
-    /// The variable zero alone.
+    /// The set that has only the variable zero.
     pub fn zero() -> Self {
         Self { len: 1, bounds: vec![0] }
     }
 
-    /// How many variables there are, zero included.
+    /// The number of variables, including the variable zero.
     pub const fn len(&self) -> usize {
         self.len
     }
@@ -37,7 +37,7 @@ impl Dbm {
         self.bounds.as_slice()[i * self.len + j]
     }
 
-    /// The least `c` with `x_i - x_j <= c`; `None`: there is none.
+    /// The least `c` with `x_i - x_j <= c` at all points; `None` if there is no such bound.
     pub fn bound(&self, i: usize, j: usize) -> Option<i64> {
         Some(self.at(i, j)).filter(|&bound| bound != FREE)
     }
@@ -70,10 +70,10 @@ impl Dbm {
         old
     }
 
-    /// Keeps the points with `x_i - x_j <= c`.
+    /// Keeps only the points with `x_i - x_j <= c`.
     ///
     /// # Errors
-    /// [`Empty`] if there is none. The matrix is then as before.
+    /// [`Empty`] if there is no such point. Then the matrix does not change.
     pub fn constrain(&mut self, i: usize, j: usize, c: i64) -> Result<(), Empty> {
         if self.entails(i, j, c) {
             return Ok(());
@@ -81,7 +81,7 @@ impl Dbm {
         if !self.intersects(i, j, c) {
             return Err(Empty);
         }
-        // Only paths over the new bound can be shorter than before.
+        // Only bounds over the new bound can become smaller.
         let from_j: Vec<i64> = self.bounds[j * self.len..][..self.len].to_vec();
         for row in self.bounds.chunks_mut(self.len) {
             let over = plus(row[i], c);
@@ -94,25 +94,25 @@ impl Dbm {
         Ok(())
     }
 
-    /// The set of the values of these terms, each a variable and an offset. The first term is subtracted from all of them, and is
-    /// the zero of the result. Variables that are not among the terms are forgotten.
+    /// The set of the values of these terms, each a variable and an offset. The first term is subtracted from all terms,
+    /// and becomes the variable zero of the result. Variables that are not among the terms are forgotten.
     pub fn project(&self, terms: &[(usize, i64)]) -> Self {
         let of = |&(i, a): &(usize, i64)| terms.iter().map(move |&(j, b)| plus(self.at(i, j), a - b));
         Self { len: terms.len(), bounds: terms.iter().flat_map(of).collect() }
     }
 
-    /// Whether all points of this set are in the other one.
+    /// Whether all points of this set are also in `other`.
     pub fn is_in(&self, other: &Self) -> bool {
         self.len == other.len && self.bounds.iter().zip(&other.bounds).all(|(mine, others)| mine <= others)
     }
 
-    /// The least such set that has all points of both.
+    /// The least set of this kind that contains all points of both sets.
     pub fn hull(&self, other: &Self) -> Self {
         let bounds = self.bounds.iter().zip(&other.bounds).map(|(&a, &b)| a.max(b)).collect();
         Self { len: self.len, bounds }
     }
 
-    /// The union of two sets over the same variables, if it can be described so: if it equals the [hull](Self::hull).
+    /// The union of two sets over the same variables, if it is a set of this kind: if it equals the [hull](Self::hull).
     pub fn merged(&self, other: &Self) -> Option<Self> {
         let hull = |i: usize, j: usize| self.at(i, j).max(other.at(i, j));
         let tighter = |one: &Self, than: &Self| -> Vec<(usize, usize, i64)> {
@@ -120,8 +120,9 @@ impl Dbm {
             pairs.filter(|&(i, j)| one.at(i, j) < than.at(i, j)).map(|(i, j)| (i, j, one.at(i, j))).collect()
         };
         let others = tighter(other, self);
-        // The hull without the first set is the points of the hull that break one of its tighter bounds. With such a bound broken,
-        // each other bound is the hull's own or that of the path over the broken one: all must be within the second set.
+        // A point of the hull is outside of the first set if it breaks one of the first set's tighter bounds. If such a
+        // bound is broken, each other bound is that of the hull, or follows from the broken bound. All these points must be
+        // in the second set.
         let is_outside = |(i, j, mine): (usize, usize, i64)| {
             others.iter().any(|&(k, l, bound)| plus(plus(hull(k, j), hull(i, l)), -mine - 1) > bound)
         };
@@ -131,7 +132,7 @@ impl Dbm {
         Some(self.hull(other))
     }
 
-    /// A point of the set, the value of zero first.
+    /// A point of the set. Its first coordinate is the variable zero.
     pub fn point(&self) -> Vec<i64> {
         let mut values = vec![0];
         for i in 1..self.len {
@@ -144,7 +145,7 @@ impl Dbm {
         values
     }
 
-    /// Whether a point, the value of zero first, is in the set.
+    /// Whether a point is in the set. Its first coordinate is the variable zero.
     pub fn has(&self, point: &[i64]) -> bool {
         let holds = |i: usize, j: usize| self.bound(i, j).is_none_or(|bound| point[i] - point[j] <= bound);
         point.len() == self.len && (0..self.len).all(|i| (0..self.len).all(|j| holds(i, j)))
@@ -166,14 +167,15 @@ mod tests {
 
     type Points = BTreeSet<[i64; 4]>;
 
-    /// The values that points are enumerated over: no drawn bound reaches them all.
+    /// The values over which the test enumerates points. No drawn bound excludes all of them.
     const VALUES: std::ops::RangeInclusive<i64> = -4..=4;
 
     fn all() -> impl Iterator<Item = [i64; 4]> {
         VALUES.flat_map(|a| VALUES.flat_map(move |b| VALUES.map(move |c| [0, a, b, c])))
     }
 
-    /// All values are within `VALUES`, and some drawn bounds hold; `None` if no point is left.
+    /// A set in which all variables are within `VALUES` and some random bounds hold, with its points; `None` if no point is
+    /// left.
     fn drawn(rng: &mut fastrand::Rng) -> Option<(Dbm, Points)> {
         let mut dbm = Dbm::zero();
         let mut points: Points = all().collect();

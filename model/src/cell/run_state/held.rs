@@ -1,11 +1,12 @@
-//! Holds back the scripts of a restarted node (D94, D157). A cell state has one number for each node: the ticks until the last
-//! of its scripts begins. The table then tells when each of the others begins.
+//! Holds back the scripts of a restarted node (D94, D157). A cell state has one number for each node: the ticks until the
+//! last of the node's scripts begins. From this number and the table follows when each other script begins.
 
 use super::{RunState, bit};
 use crate::state::Violation;
 use imrs_protocol::{TaskId, Walk};
 
-/// The scripts of a node that begin in this tick: those with a hold in `from..to`, of which `begun` have begun.
+/// The scripts of a node that begin in this tick: those that are held back for a time in `from..to`, of which `begun` have
+/// begun.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::cell) struct Begins {
     from: u32,
@@ -23,22 +24,21 @@ impl Begins {
 }
 
 impl RunState {
-    /// Prepares a restarted node's scripts: those that are not held back begin in this tick, the others
-    /// later.
+    /// Prepares a restarted node's scripts: scripts that are not held back begin in this tick, the other scripts later.
     pub fn begin_again(&mut self, node: usize) {
         self.beside.held_back[node] = Some(self.longest_held(node)).filter(|longest| *longest > 0);
         self.beside.begins[node] = Begins { from: 0, to: 1, begun: 0 };
         self.end_beginning(node);
     }
 
-    /// Ticks until the next script begins that a node holds back.
+    /// Ticks until the next script of a node begins that is held back.
     pub fn next_begin(&self, node: usize) -> Option<u64> {
         let passed = self.longest_held(node) - self.beside.held_back[node]?;
         let later = self.here(node).map(|task| self.held(task)).filter(|held| *held > passed);
         later.min().map(|held| u64::from(held - passed))
     }
 
-    /// Lets time pass for a node's scripts. Each script whose hold ends begins by a move of its own.
+    /// Lets time pass for the scripts that a node holds back. Each script whose hold ends begins by a move of its own.
     pub fn hold_back_on(&mut self, node: usize, ticks: u32) {
         let Some(left) = self.beside.held_back[node] else { return };
         let longest = self.longest_held(node);
@@ -53,16 +53,16 @@ impl RunState {
     /// The next task of a node whose script begins in this tick.
     pub fn begins_next(&self, node: usize) -> Option<usize> {
         let Begins { from, to, begun } = self.beside.begins[node];
-        // In most states no script of the node begins. The check comes first, because `moves` calls this
-        // function for each node in each state.
+        // In most states no script of the node begins. This quick test comes first, because `moves` calls this function for
+        // each node in each state.
         if from == to {
             return None;
         }
         self.here(node).filter(|&task| (from..to).contains(&self.held(task))).nth(usize::from(begun))
     }
 
-    /// Whether the script that [`begins_next`](Self::begins_next) names may begin now: its task must have
-    /// noticed the time first.
+    /// Whether the script that [`begins_next`](Self::begins_next) names may begin now: the script's task must have noticed
+    /// the time first.
     pub fn may_begin(&self, node: usize) -> bool {
         self.begins_next(node).is_some_and(|task| self.cell.notices_all(node, task))
     }
@@ -75,7 +75,7 @@ impl RunState {
         self.cell.begin_whole(task)
     }
 
-    /// Updates the hold of a node once the last script of this tick has begun.
+    /// Updates the state of a node's held-back scripts when the last script of this tick has begun.
     fn end_beginning(&mut self, node: usize) {
         if self.begins_next(node).is_none() {
             let passed = std::mem::take(&mut self.beside.begins[node]).to.saturating_sub(1);

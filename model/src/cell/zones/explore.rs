@@ -1,4 +1,4 @@
-//! The result of a search by zones.
+//! Makes the result of a search by zones.
 
 use super::concrete;
 use super::runner::Runner;
@@ -11,7 +11,7 @@ use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Searches a cell by zones. All that it finds was found again on plain ticks.
+/// Searches a cell by zones. Every finding that it returns was found again on plain ticks.
 pub(in crate::cell) fn explore(
     plan: &Arc<CellPlan>,
     (phase, hypothesis): (Phase, usize),
@@ -70,7 +70,7 @@ pub(in crate::cell) fn explore(
     Done { coverage, findings, warnings, reached: runner.reached, mattered: runner.mattered }
 }
 
-/// The first standstill that is found again on plain ticks.
+/// The first standstill that is also found on plain ticks.
 fn standstill(
     plan: &Arc<CellPlan>,
     (phase, hypothesis): (Phase, usize),

@@ -1,4 +1,4 @@
-//! Expands kept states, breadth first.
+//! Expands kept states of a search by zones, breadth first.
 
 use super::runner::{From, Run, Runner};
 use super::still::Walks;
@@ -14,17 +14,18 @@ use std::time::Instant;
 /// A finding of a run from a kept state.
 pub(super) struct Hit {
     pub shown: Shown,
-    /// The state, by its number, and the answers of the run; `None`: the run from the start.
+    /// The number of the kept state in which the run began; `None`: the run began at the start. The next field has the
+    /// answers of the run.
     pub state: Option<u32>,
     pub answers: Box<[u16]>,
-    /// The moves of the run that lead to it.
+    /// The number of moves of the run that lead to the finding.
     pub moves: usize,
 }
 
-/// States that are expanded between two looks at the budget.
+/// The number of states that are expanded between two looks at the budget.
 const BATCH: usize = 64;
 
-/// One state in so many is in the sample, for which the invariants of the machines are checked.
+/// One state in this many is in the sample: in runs from it the invariants of the state machines are checked.
 const SAMPLE: u32 = 16;
 
 pub(super) struct Search {
@@ -32,7 +33,7 @@ pub(super) struct Search {
     pub store: Store,
     pub hits: Vec<Hit>,
     pub walks: Walks,
-    /// Runs whose times were not all exact.
+    /// The number of runs whose times were not all exact.
     pub inexact: u64,
     pub outgrown: bool,
     pub longest: usize,
@@ -68,7 +69,7 @@ impl Search {
         }
     }
 
-    /// Runs from a kept state, or from the start, in all ways that its times allow.
+    /// Makes all runs from a kept state or from the start: one for each way that its times allow.
     fn expand(&mut self, at: Option<u32>) {
         let Self { runner, store, .. } = self;
         let (zone, control, depth) = match at.and_then(|at| store.states.get(at as usize)) {
@@ -108,7 +109,7 @@ impl Search {
             let core = core(&self.runner, &control);
             to = self.store.insert(control, core, Origin { parent, answers, zone }, depth);
         }
-        // A run in which only time has passed leads to its own state.
+        // A run in which only time has passed leads back to its own state.
         let leads = run.gets_on || !to.is_empty();
         if let Some(from) = parent.filter(|_| leads && !run.takes_fault) {
             self.walks.note(from, if run.gets_on { &[] } else { &to });
@@ -116,10 +117,10 @@ impl Search {
     }
 }
 
-/// How the times of a run went.
+/// What the times of one run were.
 struct Way {
     answers: Box<[u16]>,
-    /// The times of the state at its end.
+    /// The times of the state at the run's end.
     zone: Option<Dbm>,
     is_exact: bool,
 }
@@ -129,7 +130,7 @@ pub(super) fn is_sampled(at: Option<u32>) -> bool {
     at.is_none_or(|at| at.is_multiple_of(SAMPLE))
 }
 
-/// The remaining faults of a control, and the rest of it.
+/// The remaining faults of a control, and the other bytes of it.
 fn core(runner: &Runner, control: &[u8]) -> (Left, Box<[u8]>) {
     let (left, core) = runner.split(control);
     (left, [control.get(..1).unwrap_or_default(), core].concat().into())
