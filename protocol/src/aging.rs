@@ -59,8 +59,8 @@ impl Service {
     }
 
     /// A sufficient TTL for a message of a port with a handler. It assumes that handlers do not wait, and that the message
-    /// outranks the task's own thread only once it is capped, because no rank lies between the first one and that of `self`
-    /// (D76).
+    /// outranks the task's own thread only once it is capped, because no rank lies between the first rank and the rank of
+    /// `self` (D76).
     ///
     /// The message is rejected at most [`most_refusals`](Self::most_refusals) times. It is offered again each time when
     /// the penalty is over and the task can be interrupted. Then all earlier rejected messages of any port go before

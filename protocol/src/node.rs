@@ -255,7 +255,7 @@ impl Node {
         if !self.counts() {
             return None;
         }
-        // The transit buffer first: a task whose time_out ends now must know whether its packet ever left.
+        // Time passes in the transit buffer first: a task whose time_out ends now must know whether its packet ever left.
         self.with_transit(out, |transit, table, effects| {
             transit.advance(table, transit.now() + elapsed, effects);
         });

@@ -149,7 +149,7 @@ pub enum Event {
 pub struct Observation {
     /// What happened.
     pub event: Event,
-    /// The port on which it happened; [`PortId::NONE`] for the end of a timer and of a handler.
+    /// The port on which the event happened; [`PortId::NONE`] for the end of a timer and of a handler.
     pub port: PortId,
     /// The other task that was involved; at the end of a timer or of a handler, the task itself.
     pub peer: TaskId,

@@ -118,7 +118,7 @@ impl Timer {
         }
     }
 
-    /// Removes the first entry of the queue if it has ended.
+    /// Removes the entry that ends first, if it has ended.
     fn pop_over(&mut self) -> Option<Entry> {
         let settled = self.queue.first().map(|(_, entry)| entry).filter(|entry| entry.expires <= self.now);
         if self.fresh.end() <= self.now

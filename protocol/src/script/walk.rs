@@ -143,7 +143,7 @@ impl Script {
         }
     }
 
-    /// Zeroes a dead variable: a checker knows from the program that it is written before it is read again.
+    /// Zeroes a dead variable: a checker knows from the program that the variable is written before it is read again.
     pub fn bury_variable(&mut self, index: u16) {
         if let Some(variable) = self.variables.get_mut(usize::from(index)) {
             *variable = 0;

@@ -237,9 +237,9 @@ impl CommTask {
         self.machines.server.fragment(index)
     }
 
-    /// The answer of a task to the last request on a port, if several tasks were asked or answers take several
-    /// packets. Valid until the next request on that port. Packed states leave it out once the request has ended: a
-    /// checker reads it with the signal.
+    /// The answer of a task to the last request on a port, if several tasks were asked or answers take several packets.
+    /// Valid until the next request on that port. Packed states leave the answer out once the request has ended: a checker
+    /// reads it with the signal.
     #[must_use]
     pub fn answer_of(&self, port: PortId, task: TaskId) -> Option<&Contents> {
         self.answer_fragment(port, task, 0)

@@ -52,7 +52,7 @@ impl CommTask {
     }
 
     /// Whether both tasks are in the same state, including counters, orders and arrival numbers, which packed bytes leave
-    /// out. When a task next expires a message follows from this state, so that instant is not compared.
+    /// out. The next deadlines must be equal, too, but not whether they are cached.
     #[must_use]
     pub fn is_same(&self, other: &Self) -> bool {
         let Self { own, machines, due: _ } = self;

@@ -134,8 +134,7 @@ impl Client {
             (_, Some(Control::Refused)) => Event::RefusedByPeer,
             (_, Some(Control::RefusedOnTheWay)) if unsent => Event::RefusedByPeer,
             (_, Some(Control::Restarted)) => Event::PeerRestarted,
-            // Another copy of the command may have arrived, so this refusal does not end the request. Only the time_out
-            // does.
+            // Another copy may have arrived, so that only the time_out ends the request.
             (_, Some(Control::RefusedOnTheWay)) => return None,
             (_, None) => {
                 step.drop_packet(endpoint, packet, Reason::Unexpected);

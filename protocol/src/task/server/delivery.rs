@@ -67,7 +67,7 @@ impl Server {
         Some(((inbox, source), held))
     }
 
-    /// Like [`take`](Self::take), for a message of several packets that was never stored in the buffer.
+    /// Like [`take`](Self::take), for a message that the task takes as it arrives, so that the buffer never stored it.
     pub(super) fn take_assembled(&mut self, (inbox, source): Origin, held: &Held) {
         self.taken.0 = Some(held.contents);
         if held.fragments < 2 {
