@@ -336,7 +336,7 @@ pub enum StatementKind {
         into: Vec<Place>,
         /// The only sender whose messages the statement takes.
         from: Option<Name>,
-        /// The longest wait. The task's own time_out of the port is a limit, too. Without both it waits for ever.
+        /// The longest wait. The time_out of the port is a limit, too. With neither limit the statement waits for ever.
         within: Option<Duration>,
     },
     /// `reply(args)` and `response(args)` answer the last message. `reply p(args) for t` answers an earlier one.

@@ -1,4 +1,4 @@
-//! Reports handlers in a task without an `order`: without an `order`, `self` ranks first, which is seldom meant (D46, D58,
+//! Reports handlers in a task that has no `order`: in such a task `self` ranks first, which is seldom meant (D46, D58,
 //! D93).
 
 use super::carries_heartbeats;

@@ -54,7 +54,7 @@ impl Resolved {
     }
 }
 
-/// Resolves the names of a file and types its expressions. `text` is the file's text, for its lines.
+/// Resolves the names of a file and types its expressions. `text` is the file's text, which gives the line numbers.
 #[must_use]
 pub fn resolve(file: &ast::File, text: &str) -> Resolved {
     resolve_rest(file, text, &Lost::default())
