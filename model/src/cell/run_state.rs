@@ -76,7 +76,7 @@ pub(super) struct RunState {
     pub times: Times,
     /// The checks that the last move broke.
     pub broken: Vec<usize>,
-    /// Ticks since the start, or since the caller set this field to zero.
+    /// Ticks since the start of the path, or since the caller set this field to zero.
     pub passed: u64,
     /// For each check, whether its left side was ever true.
     pub mattered: Vec<bool>,

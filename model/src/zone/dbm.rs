@@ -17,7 +17,7 @@ pub(crate) struct Dbm {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Empty;
 
-/// The sum of two bounds, which is no bound if either is none.
+/// The sum of two bounds. If one of them stands for no bound, so does the sum.
 const fn plus(a: i64, b: i64) -> i64 {
     if a == FREE || b == FREE { FREE } else { a + b }
 }
@@ -139,7 +139,8 @@ impl Dbm {
             let known = || values.iter().enumerate();
             let least = known().filter_map(|(j, &value)| Some(value - self.bound(j, i)?)).max();
             let most = known().filter_map(|(j, &value)| Some(value + self.bound(i, j)?)).min();
-            // In a closed matrix any value between the bounds that the earlier values leave extends to a point.
+            // Any value within the bounds that the earlier values leave can be completed to a point, because the matrix is
+            // closed.
             values.push(least.or(most).unwrap_or(0));
         }
         values

@@ -39,7 +39,7 @@ use std::sync::Arc;
 
 /// Ticks that the clock of a node may be ahead of the run, because every node rounds the remaining time of a message.
 const AHEAD: u64 = 2;
-/// Ticks by which a node may notice late that time has passed. The cell's assumptions allow one (D42).
+/// Ticks by which a node may notice late that time has passed. The cell's assumptions allow one tick (D42).
 const LATE: u64 = 1;
 /// Ticks that no rounding of two times can add to the time between them or take from it.
 const ROUNDED: u64 = 4;
@@ -341,7 +341,7 @@ impl Follower {
         }
     }
 
-    /// Checks that the run has shown all steps of a task in the model, before the task takes a new input.
+    /// Checks that the run has shown everything that a task did in the model, before the task takes a new input.
     fn quiet(&self, task: usize, what: &str) -> Result<(), No> {
         match self.pending[task].front() {
             None => Ok(()),

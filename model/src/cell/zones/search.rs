@@ -125,7 +125,7 @@ struct Way {
     is_exact: bool,
 }
 
-/// Whether the invariants of the machines are checked in the runs from a state.
+/// Whether the invariants of the state machines are checked in the runs from a state.
 pub(super) fn is_sampled(at: Option<u32>) -> bool {
     at.is_none_or(|at| at.is_multiple_of(SAMPLE))
 }
