@@ -1,11 +1,13 @@
-//! Scenes of the hand-off: answers, wake-ups, input that is left for the holder of the lock, time_outs, and stopping.
+//! Scenes of the hand-off of input and answers between threads: answers, wake-ups, input that is left for the holder of
+//! the lock, time_outs, and stopping.
 
 use super::{DEADLOCK, must_fail, must_fail_large};
 use crate::clock::FAR;
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
 use crate::sync::handoff::{Handoff, Plant, Protected, Rest};
 
-/// A machine of two states: its task has asked, or has not. It keeps an answer that comes before the question.
+/// A machine of two states: its task has made a request, or has not. The machine keeps an answer that comes before the
+/// request.
 #[derive(Default)]
 pub(super) struct Toy {
     asked: bool,
@@ -19,7 +21,7 @@ pub(super) enum Brought {
     /// The task takes an answer that is already there.
     Poll,
     Answer,
-    /// An answer comes that may wait for the task's thread.
+    /// An answer arrives; handling it may wait for the task's thread.
     News,
     TimeIsUp,
     Nothing,
@@ -89,17 +91,18 @@ pub(super) fn bring(handoff: &Arc<Handoff<Toy, Option<Plant>>>, input: Brought) 
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Waited {
-    /// The task did not wait: the answer was there.
+    /// The task did not wait: the answer was there already.
     NotAtAll,
     /// The task's thread found the answer while it was spinning.
     Looking,
-    /// The answer came between the last look of the task's thread and its sleep.
+    /// The answer came after the task's thread had last looked for it, and before the thread slept.
     Awake,
     Asleep,
 }
 
-/// The task asks, looks `looks` times and then sleeps; another thread brings the answer. Without a wake-up, loom finds the
-/// deadlock. Returns how the task waited, and whether its thread handled the answer itself.
+/// The task makes a request, looks for the answer `looks` times and then sleeps; another thread brings the answer. If
+/// the wake-up is missing, loom finds the deadlock. Returns how the task waited, and whether its thread handled the
+/// answer itself.
 fn ask_and_wait(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);
@@ -170,8 +173,9 @@ fn a_sleep_that_trusts_the_last_look_misses_the_answer() {
     must_fail(DEADLOCK, || ask_and_wait(Some(Plant::SleepsBlindly), 2));
 }
 
-/// The task has entered the machine before. It asks, looks `looks` times and then sleeps; another thread brings news that
-/// may wait for the task's thread. Returns how the task waited, and whether its own thread handled the news.
+/// The task has entered the machine before. It makes a request, looks for the answer `looks` times and then sleeps;
+/// another thread brings news that may wait for the task's thread. Returns how the task waited, and whether its own
+/// thread handled the news.
 fn ask_for_news(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
     let handoff = toy(plant);
     let mut worked = 0;
@@ -193,9 +197,9 @@ fn ask_for_news(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
     (waited, other.join().unwrap() == 0)
 }
 
-/// Asserts that all outcomes in `expected` are seen. If every schedule is explored, there is one more: the thread that left
-/// the news sees that the task's thread is about to sleep, and handles the news before that thread checks the inbox. Drawn
-/// schedules rarely show that.
+/// Asserts that all outcomes in `expected` are seen. If every schedule is explored, there is one outcome more: the
+/// thread that left the news sees that the task's thread is about to sleep, and handles the news before that thread
+/// checks the inbox. Drawn schedules rarely show that.
 fn news_end_every_wait(looks: u32, expected: &[(Waited, bool)]) {
     let seen = explore(move || ask_for_news(None, looks));
     let rare = (Waited::Awake, false);
@@ -222,8 +226,8 @@ fn news_that_waited_are_found_by_who_looks() {
     news_end_every_wait(2, &expected);
 }
 
-/// News come before the task's thread begins to look, or another thread has handled them by then. Returns whether the first
-/// look finds them, although no thread calls the task's thread.
+/// News come before the task's thread begins to look for them, or another thread has handled them by then. Returns
+/// whether the first look finds the news, although no thread wakes the task's thread.
 fn look_after_news(plant: Option<Plant>) -> bool {
     let handoff = toy(plant);
     let mut worked = 0;
@@ -289,9 +293,9 @@ fn what_is_left_to_a_program_that_does_not_say_that_it_ended_stays_behind() {
     must_fail("news stayed behind", || end_with_news(false));
 }
 
-/// The answer comes while the time runs out. The outcome is decided once, under the lock: it is never both and never
-/// neither. If `under_lock` is false, the bug is planted: the task assumes that its time is over without looking under the
-/// lock.
+/// The answer comes while the task's time_out ends. The outcome is decided once, under the lock: it is the answer or
+/// the time_out, never both and never neither. If `under_lock` is false, the bug is planted: the task assumes that its
+/// time is over without looking under the lock.
 fn race_with_time(under_lock: bool) -> Got {
     let handoff = toy(None);
     let answer = bring(&handoff, Brought::Answer);

@@ -5,8 +5,8 @@ use super::{DEADLOCK, must_fail, must_fail_large};
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
 use crate::sync::handoff::{Handoff, Plant};
 
-/// A thread brings two answers. The task waits for one and takes every other that is there, until it has both. Returns the
-/// most answers taken at once.
+/// A thread brings two answers. The task waits for one, then takes every answer that is there, until it has both.
+/// Returns the most answers taken at once.
 fn take_several(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let bringing = Arc::clone(&handoff);
@@ -43,7 +43,7 @@ fn taking_several_without_a_second_look_waits_for_what_was_left() {
     must_fail_large(DEADLOCK, || take_several(Some(Plant::NoSecondLook)));
 }
 
-/// Two threads bring input at once. Returns the greater number of inputs that one of them handled.
+/// Two threads bring input at once. Returns the greater of the numbers of inputs that the two threads handled.
 fn two_bring(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);

@@ -41,8 +41,8 @@ impl Protected for Observed {
     }
 }
 
-/// A machine makes three observations while an observer follows, in a ring that keeps two. Returns how many the observer
-/// lost. The observations that it reads are in order; together with the lost ones they are three.
+/// A machine makes three observations while an observer follows, in a ring that keeps two. Returns how many the
+/// observer lost. The observations that the observer reads are in order; together with the lost ones they are three.
 fn follow(forgets_the_loss: bool) -> u64 {
     let mut ring = Ring::of(2);
     ring.forgets_the_loss = forgets_the_loss;
@@ -80,7 +80,7 @@ fn a_reader_that_does_not_know_its_loss_reads_out_of_order() {
     must_fail("out of order", || follow(true));
 }
 
-/// A machine that stamps each step with a time, and reports it.
+/// A machine that stamps each step with a time, and reports the stamp.
 #[derive(Default)]
 struct Stamper {
     told: [Option<u64>; 2],
@@ -121,8 +121,8 @@ impl Protected for Stamper {
     }
 }
 
-/// An observer asks up to which time all steps are reported, while steps are reported. Returns how many steps came before
-/// the answer; later steps must not be older than the answer.
+/// An observer asks up to which time all steps are reported, while a machine reports steps. Returns how many steps were
+/// reported before the answer; later steps must not be older than the answer.
 fn told_until(stamped_outside: bool) -> usize {
     let clock = Arc::new(AtomicU64::new(0));
     let handoff = Arc::new(Handoff::new(Stamper::default(), None));
@@ -183,9 +183,9 @@ impl Protected for Sender {
     }
 }
 
-/// A packet expires in the buffer at the same time as its sender's time_out. The thread that drops the packet leaves the
-/// news of it; the sender checks the buffer before it decides. Returns whether the sender dropped the packet itself. The
-/// bug: the news is left after the buffer's lock is released.
+/// A packet expires in the buffer at the same instant at which its sender's time_out ends. The thread that drops the packet
+/// leaves a note of this for the sender; the sender checks the buffer before it decides. Returns whether the sender dropped
+/// the packet itself. The planted bug: the thread leaves the note after it has released the buffer's lock.
 fn expire_in_the_buffer(news_comes_late: bool) -> bool {
     fn advance(buffer: &Mutex<bool>, handoff: &Handoff<Sender>, news_comes_late: bool) -> bool {
         let mut held = lock(buffer);

@@ -46,8 +46,8 @@ const USAGE: u8 = 2;
 
 /// Does the work of a guard if this process was started as one, and returns its exit code; otherwise returns `None` at once.
 ///
-/// A program whose [`Commands`](crate::script::Commands) use [`GuardProgram::This`] calls it first thing in `main`, before it starts
-/// any thread:
+/// A program whose [`Commands`](crate::script::Commands) use [`GuardProgram::This`] calls `entry` first in `main`,
+/// before it starts any thread:
 ///
 /// ```no_run
 /// use std::process::ExitCode;

@@ -1,24 +1,25 @@
 //! Input left for the next thread that runs a communication task: stored without that task's lock, taken in the same order.
 
 use crate::sync::{AtomicUsize, Mutex, Ordering, lock};
-/// This is the standard atomic, which no explorer explores, because the flag is only a hint.
+/// This is the standard library's atomic, which no explorer explores, because that flag is only a hint.
 use std::sync::atomic::AtomicBool;
 
-/// How many inputs fit into an inbox. Once it is full, a thread that brings more waits for the lock.
+/// How many inputs fit into an inbox. Once the inbox is full, a thread that brings more input waits for the lock.
 const ROOM: usize = 64;
 
-/// How many inputs at most wait for a running thread: it works them off whatever it enters for (D130).
+/// How many inputs at most wait for a running thread, because that thread must handle all of them in its next call,
+/// whatever the call is for (D130).
 const FOR_A_RUNNER: usize = 32;
 
-/// An inbox has cache lines of its own, because both ends write to it.
+/// An inbox has cache lines of its own, because the thread that takes input and the threads that leave it all write to it.
 #[repr(align(64))]
 pub(crate) struct Inbox<I> {
     inputs: Mutex<Vec<I>>,
-    /// How many inputs there are, readable without the lock.
+    /// How many inputs the inbox holds, readable without the lock.
     count: AtomicUsize,
-    /// Whether the task's thread has entered since a thread last found no room for a runner.
+    /// Whether the task's own thread has taken input from the inbox since `leave_to_runner` last failed for lack of room.
     comes_in: AtomicBool,
-    /// The room, and whether a thread found none.
+    /// The capacity of the inbox, and whether a thread has found it full.
     #[cfg(test)]
     pub room: (usize, AtomicBool),
 }
@@ -44,7 +45,7 @@ impl<I> Inbox<I> {
         self.leave_up_to(ROOM, input)
     }
 
-    /// As [`leave`](Self::leave), for a running thread that keeps entering: at most as much as it may have to work off.
+    /// As [`leave`](Self::leave), for a task whose thread runs and often calls: leaves at most `FOR_A_RUNNER` inputs.
     pub fn leave_to_runner(&self, input: I) -> Result<(), I> {
         if !self.comes_in.load(Ordering::Relaxed) {
             return Err(input);
@@ -71,7 +72,8 @@ impl<I> Inbox<I> {
         Ok(())
     }
 
-    /// Whether the inbox is empty. The load is relaxed: a caller that must not miss what `leave` stored fences before.
+    /// Whether the inbox is empty. The load is relaxed: a caller that must see the last input that `leave` stored needs
+    /// a fence before this call.
     pub fn is_empty(&self) -> bool {
         self.count.load(Ordering::Relaxed) == 0
     }
@@ -81,14 +83,14 @@ impl<I> Inbox<I> {
         self.count.load(Ordering::Relaxed) >= ROOM / 2
     }
 
-    /// Swaps the inputs with the vector `empty`.
+    /// Takes all inputs, by swapping them with the vector `empty`.
     pub fn take(&self, empty: &mut Vec<I>) {
         let mut inputs = lock(&self.inputs);
         std::mem::swap(&mut *inputs, empty);
         self.count.store(0, Ordering::Relaxed);
     }
 
-    /// Notes that the task's thread has entered, and so takes all inputs that are there.
+    /// Notes that the task's own thread takes all inputs of the inbox.
     pub fn come_in(&self) {
         // The flag is written only if it changes, because other threads read its cache line.
         if !self.comes_in.load(Ordering::Relaxed) {

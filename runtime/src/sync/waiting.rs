@@ -1,4 +1,5 @@
-//! How a task's thread waits for what other threads bring, and how they wake it: one futex word that both sides change.
+//! How a task's thread waits for answers and input of other threads, and how those threads wake it: one futex word that
+//! both sides change.
 //!
 //! ```text
 //!                      goes, sleep                     mark: there is something for it
@@ -8,8 +9,9 @@
 //!      \--------------------------------------- enters ----------------------------- READY
 //! ```
 //!
-//! While the thread spins, others leave all input in the inbox for it. While it runs, they leave only input that may wait. So a
-//! thread checks the inbox after it has changed the word from `RUNNING`. Others check the word after they have left input.
+//! While the task's thread spins, other threads leave all input in the inbox for it. While it runs, they leave only
+//! input that may wait. So the task's thread checks the inbox after it has changed the word from `RUNNING`. Other
+//! threads check the word after they have left input.
 
 use crate::sync::awake::ThreadState;
 use crate::sync::plant::{Plants, Sound};
@@ -21,9 +23,9 @@ use std::sync::Arc;
 const RUNNING: u32 = 0;
 /// The task's thread sleeps, or is about to.
 const SLEEPING: u32 = 1;
-/// There is something for the task's thread, or its program has ended: it must not sleep.
+/// There is an answer or input for the task's thread, or its program has ended: the thread must not sleep.
 const READY: u32 = 2;
-/// The task's thread waits in the link, or is about to: the waker wakes it.
+/// The task's thread waits in the link, or is about to: then `waker` wakes it.
 pub(super) const AWAY: u32 = 3;
 /// The task's thread spins on its word; it drains the inbox when it is called.
 const LOOKING: u32 = 4;
@@ -37,7 +39,7 @@ pub(crate) enum Plant {
     NoMark,
     /// The futex word is set to `READY`, but no thread is woken.
     NoWake,
-    /// A thread that waits in the link is not woken by its waker.
+    /// The waker does not wake a thread that waits in the link.
     NoWaker,
     /// Stopping a task does not wake the task's thread.
     SilentStop,
@@ -55,7 +57,8 @@ pub(crate) enum Plant {
     SleepsOnIt,
     /// A thread that begins to spin does not check for input left while it ran.
     LooksPastIt,
-    /// Neither a running thread nor a thread that leaves input to it has a fence between its write and its read.
+    /// A fence between the write and the following read is missing: in a running thread, and in a thread that leaves
+    /// input to it.
     NoFenceForARunner,
 }
 
@@ -63,11 +66,11 @@ pub(crate) enum Plant {
 #[repr(align(64))]
 struct Line<T>(T);
 
-/// Which input others leave in the inbox for a task's thread.
+/// Which input other threads leave in the inbox for a task's thread.
 pub(super) enum Leave {
-    /// All: the thread spins.
+    /// All input: the thread spins.
     All,
-    /// Only what may wait: the thread runs.
+    /// Only input that may wait: the thread runs.
     SomeOfIt,
     Nothing,
 }
@@ -85,7 +88,7 @@ impl Was {
 pub(super) struct Waiting<P = Sound> {
     word: Line<Word>,
     pub thread_state: ThreadState,
-    /// Wakes the task's thread where it waits elsewhere than on its word.
+    /// Wakes the task's thread if it waits elsewhere than on its word.
     waker: Option<Arc<dyn ThreadWaker>>,
     pub plant: P,
 }
@@ -95,7 +98,7 @@ impl<P: Plants<Plant>> Waiting<P> {
         Self { word: Line(Word::new(RUNNING)), thread_state: ThreadState::new(), waker, plant }
     }
 
-    /// Which input may be left to the thread now.
+    /// Which input another thread may leave to the task's thread now.
     pub fn leaves(&self) -> Leave {
         match self.word.0.load() {
             LOOKING => Leave::All,
@@ -112,14 +115,14 @@ impl<P: Plants<Plant>> Waiting<P> {
         self.word.0.load() == LOOKING
     }
 
-    /// Whether there is something for the task's thread.
+    /// Whether there is an answer or input for the task's thread.
     pub fn is_ready(&self) -> bool {
         self.word.0.load() == READY
     }
 
-    /// The thread enters, under the lock. It writes only if needed, because others read the word's cache line. It is a
-    /// swap, because another thread may call a thread that spun at this moment: the acquire pairs with the `replace` in
-    /// `call_waiter`, so this thread sees input that was left before it.
+    /// The thread enters, under the lock. It writes only if needed, because other threads read the word's cache line.
+    /// This is a swap, because another thread may call the spinning thread at this moment: the acquire pairs with the
+    /// `replace` in `call_waiter`, so this thread sees all input that was left before that call.
     pub fn comes_in(&self) {
         if !self.is_running() {
             self.word.0.swap(RUNNING);
@@ -156,12 +159,13 @@ impl<P: Plants<Plant>> Waiting<P> {
         }
     }
 
-    /// Tells a spinning thread that input was left to it. False if the thread no longer spins, or was called before.
+    /// Tells a spinning thread that input was left to it. Returns false if the thread no longer spins, or was called before.
     pub fn call_waiter(&self) -> bool {
         self.word.0.replace(LOOKING, READY) || self.plant.has(Plant::TrustsTheLook)
     }
 
-    /// Sleeps until the word is marked or `deadline` passes, unless something `was_left`. False if there was something already.
+    /// Sleeps until the word is marked or `deadline` passes, unless `was_left` says that there is input. Returns false
+    /// if there was input or an answer already.
     pub fn sleep(&self, deadline: Option<u64>, was_left: impl FnOnce() -> bool) -> bool {
         if !self.goes(SLEEPING, was_left) {
             return false;
@@ -171,9 +175,10 @@ impl<P: Plants<Plant>> Waiting<P> {
         true
     }
 
-    /// The thread is about to wait in state `to`. False if there is something for it.
+    /// The thread is about to wait in state `to`. Returns false if there is an answer or input for it.
     pub fn goes(&self, to: u32, was_left: impl FnOnce() -> bool) -> bool {
-        // Before the word changes, because a thread that sees the word and wakes this thread counts it back.
+        // This comes before the word changes, because a thread that sees the new word and wakes this thread counts it
+        // as running again.
         self.thread_state.goes();
         if self.plant.has(Plant::SleepsBlindly) {
             self.word.0.store(to);
@@ -190,7 +195,7 @@ impl<P: Plants<Plant>> Waiting<P> {
         true
     }
 
-    /// The thread leaves its waiting state `from`. False if it was called.
+    /// The thread leaves its waiting state `from`. Returns false if it was called.
     pub fn comes(&self, from: u32) -> bool {
         let uncalled = self.word.0.replace(from, RUNNING);
         if uncalled {
@@ -199,12 +204,12 @@ impl<P: Plants<Plant>> Waiting<P> {
         uncalled
     }
 
-    /// The thread begins to spin. True if there is something for it already.
+    /// The thread begins to spin. Returns true if there is an answer or input for it already.
     pub fn begins_to_look(&self, was_left: impl FnOnce() -> bool) -> bool {
         !self.word.0.replace(RUNNING, LOOKING) || (!self.plant.has(Plant::LooksPastIt) && self.asks(was_left))
     }
 
-    /// The thread stops spinning. True if it was called.
+    /// The thread stops spinning. Returns true if it was called.
     pub fn ends_its_look(&self) -> bool {
         !self.word.0.replace(LOOKING, RUNNING)
     }
@@ -214,13 +219,14 @@ impl<P: Plants<Plant>> Waiting<P> {
         if self.plant.has(Plant::SleepsOnIt) {
             return false;
         }
-        // Pairs with the fence in `runs_no_longer`: either its load sees the new word, or `was_left` sees the new inbox count.
+        // This fence pairs with the fence in `runs_no_longer`: either the load there sees the new word, or `was_left`
+        // sees the new inbox count.
         self.fence_for_a_runner();
         was_left()
     }
 
-    /// Whether the thread to which input was left no longer runs. Called after the input is in the inbox. The fence, between the
-    /// store of the inbox count and the load of the word, pairs with the one in `asks`.
+    /// Whether the thread to which input was left no longer runs. Called after the input is in the inbox. The fence,
+    /// between the store of the inbox count and the load of the word, pairs with the fence in `asks`.
     pub fn runs_no_longer(&self) -> bool {
         if self.plant.has(Plant::TrustsTheRun) {
             return false;

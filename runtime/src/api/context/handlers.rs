@@ -121,7 +121,7 @@ impl<S> Context<S> {
         Ok(())
     }
 
-    /// Sets what is done when this timer of the task ends (Figure 3).
+    /// Sets the handler that runs when this timer of the task ends (Figure 3).
     pub fn on_timer(
         &mut self,
         timer: TimeId,
@@ -150,13 +150,14 @@ impl<S> Context<S> {
         at_once(self.accepted(Request::Stop { id: timer })).map(|_| ())
     }
 
-    /// Sets what is done when the task loses its lease. The handler outranks everything, `atomic` sections too. Whatever the
-    /// program then sends on a port under the lease is refused with [`Fault::Fenced`], even without a handler.
+    /// Sets the handler that runs when the task loses its lease. The handler outranks everything, `atomic` sections
+    /// too. A message that the program then sends on a port under the lease is refused with [`Fault::Fenced`], even
+    /// without a handler.
     pub fn on_fence(&mut self, handler: impl Fn(&mut Self) -> Result<(), TaskError> + 'static) {
         self.handlers.fence = Some(Rc::new(handler));
     }
 
-    /// Sets what a standby does when it takes over, under its new epoch.
+    /// Sets the handler that runs when a standby takes over. The handler gets the new epoch.
     pub fn on_takeover(&mut self, handler: impl Fn(&mut Self, u8) -> Result<(), TaskError> + 'static) {
         self.handlers.takeover = Some(Rc::new(handler));
     }
@@ -188,7 +189,7 @@ impl<S> Context<S> {
         done
     }
 
-    /// Runs the handler for `call`. The answer was given `age` ago.
+    /// Runs the handler for `call`. The communication task gave out `call` `age` ago.
     pub(super) fn interrupted(&mut self, call: Call, age: Ticks) -> Result<(), TaskError> {
         let atomic = std::mem::take(&mut self.caller.atomic);
         self.caller.depth += 1;

@@ -1,4 +1,4 @@
-//! The future of one wait, and what happens when it is dropped.
+//! The future of one wait of a program, and what happens when this future is dropped.
 
 use super::AsyncContext;
 use crate::api::context::outcome::TaskError;
@@ -10,7 +10,7 @@ use std::task::{Context as Poller, Poll};
 /// One request and its answer: the only outstanding communication of the task (R93).
 pub(super) struct Asking<'a, S> {
     context: &'a mut AsyncContext<S>,
-    /// The request to be made next.
+    /// The next request to the communication task.
     next: Option<Request>,
     stage: Stage,
 }
@@ -66,7 +66,7 @@ impl<S> Drop for Asking<'_, S> {
             return;
         }
         if std::thread::panicking() {
-            // No handler may run during a panic: the task has crashed, and gives everything up.
+            // No handler may run during a panic: the task has crashed, and cancels all its requests.
             return self.context.caller.give_up();
         }
         self.context.withdraw();

@@ -54,7 +54,7 @@ impl<S> AsyncContext<S> {
         Ok(())
     }
 
-    /// Sets what is done when this timer of the task ends (Figure 3).
+    /// Sets the handler that runs when this timer of the task ends (Figure 3).
     pub fn on_timer(&mut self, timer: TimeId, handler: impl Fn(&mut S) -> Result<(), TaskError> + 'static) {
         self.timers.retain(|(of, _)| *of != timer);
         self.timers.push((timer, Rc::new(handler)));
@@ -90,7 +90,7 @@ impl<S> AsyncContext<S> {
         Ok(())
     }
 
-    /// Runs the handler for `call`. The answer was given `age` ago.
+    /// Runs the handler for `call`. The communication task gave out `call` `age` ago.
     pub(super) fn interrupted(&mut self, call: Call, age: Ticks) -> Result<(), TaskError> {
         let done = match call {
             Call::Message(message) => {

@@ -1,29 +1,31 @@
-//! What holds of two nodes with keys whatever the network does to their datagrams. The fuzz target `keys` runs this, too.
+//! Properties of two nodes with keys that hold whatever the network does to their datagrams. The fuzz target `keys`
+//! checks them, too.
 
 use super::NodeKeys;
 use super::rig::{End, MS, end, ends, keys};
 use std::sync::LazyLock;
 
-/// The keys of all runs: to draw them costs more than a run.
+/// The keys of all runs, drawn once, because drawing them costs more than a run.
 static KEYS: LazyLock<[NodeKeys; 2]> = LazyLock::new(keys);
 /// How many datagrams the network holds, at most.
 const FLYING: usize = 64;
 
-/// A network that does with datagrams what the bytes say.
+/// A network that treats datagrams as the bytes of the fuzzer say.
 struct Network<'a> {
     bytes: &'a [u8],
     ends: [End; 2],
     now: u64,
     starts: u64,
-    /// To whom, and what.
+    /// The datagrams in flight: the number of the receiving node, and the bytes.
     flying: Vec<(usize, Vec<u8>)>,
 }
 
-/// Lets the network deliver, lose, repeat, hold back, change and make up datagrams, and start nodes again, as the bytes say.
+/// Lets the network deliver, lose, repeat, hold back, change and forge datagrams, and restart nodes, as the bytes of
+/// the fuzzer say.
 ///
 /// # Panics
-/// A counter is taken in that the other end has not used, or twice in one session; or the two do not talk once the network leaves
-/// their datagrams alone.
+/// If a node accepts a counter that the other node has not used, or accepts one twice in one session; or if the two
+/// nodes cannot communicate once the network leaves their datagrams alone.
 pub fn check(bytes: &[u8]) {
     let mut net = Network { bytes, ends: ends(&KEYS), now: 0, starts: 100, flying: Vec::new() };
     while let Some(what) = net.byte() {
@@ -69,7 +71,7 @@ impl Network<'_> {
             }
             2 => self.now += 1 << (self.some(36) as u64),
             3 => self.restart(me),
-            // Bytes that neither of them made.
+            // Bytes that neither node made.
             4 => {
                 let length = self.some(256).min(self.bytes.len());
                 let (made_up, rest) = self.bytes.split_at(length);
@@ -84,9 +86,9 @@ impl Network<'_> {
                 let (to, mut bytes) = self.flying[at].clone();
                 match what {
                     5 => drop(self.flying.remove(at)),
-                    // A copy that comes later, too.
+                    // A copy of the datagram arrives now, and another copy may arrive later.
                     6 => self.arrive(to, &bytes),
-                    // Reflected.
+                    // The datagram is reflected to its sender.
                     7 => self.arrive(1 - to, &bytes),
                     8 | 9 => {
                         let (place, by) = (self.some(bytes.len()), self.byte().unwrap_or(1));
@@ -107,21 +109,22 @@ impl Network<'_> {
     }
 
     fn arrive(&mut self, to: usize, bytes: &[u8]) {
-        // Why a datagram is dropped does not matter here.
+        // For this check it does not matter why a datagram is dropped.
         let reply = self.ends[to].take(bytes, self.now).unwrap_or_default();
         self.send(1 - to, reply);
     }
 
-    /// The node starts again: it keeps its keys and counts from 0. Whatever it sent before is lost.
+    /// The node starts again: it keeps its keys and counts from 0. Datagrams that it sent before are lost.
     fn restart(&mut self, me: usize) {
         self.starts += 1;
         self.ends[me] = end(&KEYS, me, self.starts, super::rig::DIGESTS);
         self.ends[1 - me].opened.clear();
-        // Counters of an earlier start are used again; datagrams of its sessions may still arrive.
+        // Counters of an earlier start are used again, so no datagrams of its sessions may still arrive.
         self.flying.clear();
     }
 
-    /// From now on nothing is lost or changed: both take in a datagram of the other, at the latest once their sessions are old.
+    /// From now on the network neither loses nor changes a datagram. Each node accepts a datagram of the other one, at
+    /// the latest once their sessions are old.
     fn talk(&mut self) {
         self.flying.clear();
         let heard = self.ends.each_ref().map(|end| end.opened.len());
@@ -138,7 +141,7 @@ impl Network<'_> {
             for (to, bytes) in std::mem::take(&mut self.flying) {
                 self.arrive(to, &bytes);
             }
-            // The sessions of both are old after a while: then they make others, whatever was lost before.
+            // After this time the sessions of both nodes are old, so the nodes make new ones, whatever was lost before.
             self.now += if attempt == 200 { 3_700_000 * MS } else { 10 * MS };
         }
         panic!("the two do not talk any more");

@@ -12,13 +12,14 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-/// After how long the first attempt at a session is given up, in microseconds. Each further one gets twice as long.
+/// After how long the first attempt at a session is given up, in microseconds. Each further attempt gets twice as long
+/// as the one before.
 const RETRY: u64 = 50_000;
-/// After how long any attempt is given up.
+/// The longest time after which an attempt at a session is given up, in microseconds.
 const LONGEST_RETRY: u64 = 1_600_000;
-/// A cookie is valid in the span in which it was made, and in the next one.
+/// The length of a span, in microseconds. A cookie is valid in the span in which it was made, and in the next one.
 const COOKIE_SPAN: u64 = 10_000_000;
-/// How long a session is kept beside a newer one, for datagrams that are under way.
+/// How long a session is kept beside a newer one, in microseconds, for datagrams that are in flight.
 const KEPT: u64 = 10_000_000;
 /// How many sessions are kept, at most.
 const SESSIONS: usize = 8;
@@ -30,25 +31,25 @@ type Nonce = [u8; NONCE_BYTES];
 /// Makes sessions with one neighbour, and keeps them.
 pub(in crate::link::udp) struct Channel {
     keys: NodeKeys,
-    /// This node and the neighbour.
+    /// This node, and the neighbour.
     me: NodeId,
     peer: NodeId,
     /// The neighbour's public key.
     public: [u8; KEY_BYTES],
-    /// The start of this node.
+    /// This start of this node.
     session: Session,
     digests: Digests,
-    /// What closes datagrams of handshakes.
+    /// The key that closes datagrams of handshakes.
     closing: SecretKey,
-    /// What makes cookies. Drawn at each start.
+    /// The key that makes cookies, drawn anew at each start of the node.
     cookies: SecretKey,
-    /// The upper half of each index of this node.
+    /// The upper half of each session index that this node gives.
     place: u16,
     indices: u16,
-    /// All sessions, as they were made.
+    /// All sessions, in the order in which they were made.
     pub(super) sessions: Vec<Arc<Live>>,
     pub(super) making: Option<Making>,
-    /// When the present attempt began, and how long it may take.
+    /// When the present attempt at a session began, and how long it may take.
     pub(super) tried: Option<(u64, u64)>,
     pub(super) answered: VecDeque<(Nonce, HandshakeBytes)>,
 }
@@ -56,26 +57,27 @@ pub(in crate::link::udp) struct Channel {
 /// An attempt at a session that this node has begun.
 pub(super) struct Making {
     nonce: Nonce,
-    /// The Noise handshake and the index of the session, once the cookie has come.
+    /// The Noise handshake and the index of the session, once the neighbour's cookie has arrived.
     noise: Option<(Box<HandshakeState>, u32)>,
 }
 
-/// What a datagram of a handshake leads to.
+/// The effect of a datagram of a handshake.
 #[derive(Debug, PartialEq, Eq)]
 pub(in crate::link::udp) enum Answer {
-    /// To nothing: it is a copy, or of an earlier attempt.
+    /// The datagram has no effect: it is a copy, or belongs to an earlier attempt.
     Nothing,
-    /// This goes to the neighbour.
+    /// This datagram must be sent to the neighbour.
     Send(HandshakeBytes),
-    /// There is a session. The neighbour uses it once it has a datagram of it.
+    /// A session was made. The neighbour uses it once it has received a datagram that this session closed.
     Made,
-    /// The two cannot talk. `here`: this node says so, otherwise the neighbour. The reply goes to the neighbour.
+    /// The two nodes cannot communicate. `here` is true if this node says so, false if the neighbour does. `reply` must
+    /// be sent to the neighbour.
     Refused { why: Refused, theirs: Digests, here: bool, reply: Option<HandshakeBytes> },
 }
 
 impl Channel {
-    /// For the neighbour `peer` of `me`, whose start is `session`. `place`: a number that no other neighbour has. `None` without
-    /// the neighbour's public key.
+    /// Makes the channel of node `me` to its neighbour `peer`. `session` is this start of `me`, and `place` a number
+    /// that no other neighbour of `me` has. Returns `None` if `keys` lacks the neighbour's public key.
     ///
     /// # Errors
     /// [`NoRandom`].
@@ -110,7 +112,7 @@ impl Channel {
         }))
     }
 
-    /// The session that closes what this node sends: the newest one that the neighbour has.
+    /// The session that closes the datagrams that this node sends: the newest session that the neighbour has, too.
     pub(in crate::link::udp) fn sending(&self) -> Option<&Arc<Live>> {
         self.sessions.iter().rev().find(|live| live.confirmed.load(Ordering::Acquire))
     }
@@ -125,7 +127,8 @@ impl Channel {
         self.sessions.iter().any(|one| Arc::ptr_eq(one, live))
     }
 
-    /// The neighbour has the keys of this session, because it closed a datagram with them. Returns whether that is news.
+    /// Notes that the neighbour has the keys of this session, because it closed a datagram with them. Returns whether
+    /// this node did not know that before.
     pub(in crate::link::udp) fn confirm(&mut self, live: &Arc<Live>) -> bool {
         if live.confirmed.swap(true, Ordering::AcqRel) || !self.has(live) {
             return false;
@@ -135,7 +138,7 @@ impl Channel {
         true
     }
 
-    /// A node runs once at a time: sessions with an earlier start of the neighbour are over.
+    /// Ends the sessions with an earlier start of the neighbour, because a node runs once at a time.
     fn end_others(&mut self, live: &Arc<Live>) {
         let made = self.sessions.iter().position(|one| Arc::ptr_eq(one, live)).unwrap_or(0);
         let mut at = 0;
@@ -145,8 +148,8 @@ impl Channel {
         });
     }
 
-    /// Forgets sessions that no datagram can need any more. One that the neighbour has not used yet stays until a newer one is
-    /// used: the neighbour may have all it needs, and its first datagram may have been lost.
+    /// Forgets sessions that no datagram can need any more. A session that the neighbour has not used yet stays until a
+    /// newer session is used: the neighbour may have completed it, and its first datagram may have been lost.
     fn retire(&mut self, now: u64) {
         let newest = self.sending().cloned();
         let is_over = |at: u64| now.saturating_sub(at) >= KEPT;
@@ -158,7 +161,7 @@ impl Channel {
         });
     }
 
-    /// Whether a new session is wanted before the datagram with this counter.
+    /// Whether a new session should be made before the datagram with this counter is sent.
     pub(in crate::link::udp) fn wants(&mut self, now: u64, counter: u64) -> bool {
         if self.sessions.len() > 1 {
             self.retire(now);
@@ -166,7 +169,7 @@ impl Channel {
         self.sending().is_none_or(|live| live.is_old(now, counter))
     }
 
-    /// Begins an attempt at a session, unless one is under way.
+    /// Begins an attempt at a session, unless another attempt has not ended yet.
     pub(in crate::link::udp) fn knock(&mut self, now: u64) -> Option<HandshakeBytes> {
         let within = match self.tried {
             Some((at, within)) if now.saturating_sub(at) < within => return None,
@@ -180,11 +183,11 @@ impl Channel {
         Some(self.close(nonce, Step::Hello(self.digests)))
     }
 
-    /// Takes in a datagram of a handshake, `bytes`, of which `said` is the content.
+    /// Handles a datagram of a handshake: `bytes` is the datagram, `said` its content.
     ///
     /// # Errors
-    /// [`LinkDiscard::OtherKeys`] if it was closed with other keys, [`LinkDiscard::StaleSession`] if it belongs to nothing that
-    /// this node knows. Then nothing has changed.
+    /// [`LinkDiscard::OtherKeys`] if other keys closed the datagram, [`LinkDiscard::StaleSession`] if it belongs to no
+    /// session or attempt of this node. Then nothing has changed.
     pub(in crate::link::udp) fn heard(
         &mut self,
         bytes: &[u8],
@@ -212,7 +215,7 @@ impl Channel {
         }
     }
 
-    /// What was closed with another cell's key is no proof of anything. Without a session it is a hint, for people.
+    /// A datagram that another cell's key closed proves nothing. While there is no session, it is a hint for the users.
     fn unclosed(&self, said: &Handshake<'_>) -> Result<Answer, LinkDiscard> {
         let other_keys = Refused::OtherKeys as u8;
         let awaited = self.making.as_ref().is_some_and(|making| making.nonce == said.nonce);
@@ -265,7 +268,7 @@ impl Channel {
         }
         let mut noise = self.noise((self.peer, self.me), |noise| noise.build_responder())?;
         let Ok(started) = read(&mut noise, first) else {
-            // The cell's key is right, and the key of a node is not.
+            // The cell's key is right, but the key of a node is not.
             let (why, reply) = (Refused::OtherKeys, Some(self.refusal(nonce, Refused::OtherKeys)));
             return Ok(Answer::Refused { why, theirs: self.digests, here: true, reply });
         };
@@ -303,7 +306,7 @@ impl Channel {
         Ok(Answer::Made)
     }
 
-    /// Keeps a session with the start `started` of the neighbour.
+    /// Stores a new session with the start `started` of the neighbour.
     fn enter(
         &mut self,
         noise: HandshakeState,
@@ -325,7 +328,7 @@ impl Channel {
         Ok(live)
     }
 
-    /// A Noise handshake of the two nodes, the initiator first.
+    /// Makes a Noise handshake of the two nodes; `initiator` and responder are given in this order.
     fn noise(
         &self,
         (initiator, responder): (NodeId, NodeId),
@@ -348,7 +351,7 @@ impl Channel {
         made().map_err(|_: snow::Error| LinkDiscard::OtherKeys)
     }
 
-    /// The next Noise message, with the start of this node.
+    /// Writes the next Noise message, which carries the session number of this node's start.
     fn write(&self, noise: &mut HandshakeState) -> Result<[u8; NOISE_BYTES], LinkDiscard> {
         let mut message = [0; NOISE_BYTES];
         let written = noise.write_message(&self.session.0.to_le_bytes(), &mut message);
@@ -379,7 +382,7 @@ impl Channel {
     }
 }
 
-/// Reads a Noise message: the start of the neighbour.
+/// Reads a Noise message. Returns the session number of the neighbour's start.
 fn read(noise: &mut HandshakeState, message: &[u8; NOISE_BYTES]) -> Result<Session, snow::Error> {
     let mut started = [0; NOISE_BYTES];
     noise.read_message(message, &mut started)?;
