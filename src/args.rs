@@ -278,7 +278,8 @@ Examples:
     Node,
 }
 
-/// The most threads of `--jobs`: with more than a machine has, nothing is faster, and each takes memory.
+/// The greatest number of threads of `--jobs`: more threads than the machine has cores make nothing faster, and each
+/// takes memory.
 const MOST_JOBS: i64 = 256;
 
 /// The form of an answer.
@@ -291,7 +292,7 @@ pub enum Format {
     Json,
 }
 
-/// What `--color` says, before anything is parsed: help and usage errors obey it too.
+/// The value of `--color`, read before anything is parsed, because help and usage errors follow it, too.
 pub fn early_color(args: impl IntoIterator<Item = String>) -> ColorChoice {
     let mut args = args.into_iter();
     let mut word = None;

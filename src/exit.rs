@@ -7,10 +7,10 @@ use std::error::Error;
 use std::io;
 use std::process::ExitCode;
 
-/// The exit codes of every verb.
+/// The exit codes of all verbs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Exit {
-    /// Everything is as it should be.
+    /// Everything is as it should be: there is no finding.
     Well = 0,
     /// A finding: a claim did not come out as expected, or a run broke a promise.
     Finding = 1,

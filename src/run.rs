@@ -22,7 +22,7 @@ use std::collections::BTreeMap;
 use std::env;
 use std::path::{Path, PathBuf};
 
-/// Runs a cell.
+/// Runs a cell until the run ends.
 ///
 /// # Errors
 /// [`Failure`].
@@ -51,7 +51,8 @@ pub fn run(args: &RunArgs, out: &mut Output) -> Result<Exit, Failure> {
     launch(Run { actions, ..run }, args, None, out)
 }
 
-/// The folder with the keys of a node that runs on its own: the named one, else the one beside the cell.
+/// The folder with the keys of a node that runs on its own: the folder that the user named, else the one beside the
+/// cell file.
 fn folder_of_keys(cell: &Path, args: &LaunchArgs, node: &str) -> Result<PathBuf, Failure> {
     let beside = || Some(keys::beside(cell)).filter(|beside| !cell_file::is_stdin(cell) && beside.is_dir());
     args.keys.clone().or_else(beside).ok_or_else(|| {
@@ -62,7 +63,7 @@ fn folder_of_keys(cell: &Path, args: &LaunchArgs, node: &str) -> Result<PathBuf,
     })
 }
 
-/// Whether the program of a command can be found, by the same rules as when it is executed.
+/// Whether the program of a command can be found, by the rules that apply when it is executed.
 fn is_there(program: &str) -> bool {
     if Path::new(program).components().count() > 1 {
         return Path::new(program).is_file();
@@ -71,7 +72,7 @@ fn is_there(program: &str) -> bool {
     env::split_paths(&folders).any(|folder| folder.join(program).is_file())
 }
 
-/// The only node that runs here, if `--node` names one. Also checks that the options fit the cell and each other.
+/// The only node that this launcher runs, if `--node` names one. Also checks that the options fit the cell and each other.
 ///
 /// # Errors
 /// [`Failure::Usage`].
@@ -108,13 +109,13 @@ pub fn chosen(loaded: &Loaded, args: &LaunchArgs) -> Result<Option<NodeId>, Fail
     Ok(only)
 }
 
-/// Refuses to replace recordings of an earlier run without `--force`. This changes nothing: a node replaces its file only
-/// once it is bound and locked, so that a run that never begins destroys no recording.
+/// Refuses to replace recordings of an earlier run without `--force`. This changes nothing: a node replaces its file
+/// only once it has bound its socket and locked its incarnation, so that a run that never begins destroys no recording.
 fn recordings_are_free(loaded: &Loaded, only: Option<NodeId>, args: &LaunchArgs) -> Result<(), Failure> {
     let Some(file) = &args.record else { return Ok(()) };
     let nodes = loaded.table.cell().nodes.iter().enumerate();
     for (_, node) in nodes.filter(|(at, _)| only.is_none_or(|only| only.index() == *at)) {
-        // A restarted node writes its next incarnation into another file beside the first.
+        // A restarted node records its next incarnation in another file, beside the first one.
         let later = (2..=args.restart.len() + 1).map(|number| format!("{}-{number}", node.name));
         for name in std::iter::once(node.name.clone()).chain(later) {
             let path = record_file(file, &name);
