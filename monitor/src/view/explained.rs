@@ -1,8 +1,8 @@
-//! The explanations of columns and figures that the help lists.
+//! The explanations of columns and numbers, which the help lists.
 
 use crate::app::Screen;
 
-/// What the banner says.
+/// The words of the banner, with their meaning.
 pub(super) const BANNER: &[(&str, &str)] = &[
     ("BLOCKED BY", "tasks wait for this one: it is gone, or they wait longer than usual"),
     ("waiting for", "the same, but no longer than usual"),
@@ -111,13 +111,13 @@ const PROBLEMS: &[(&str, &str)] = &[
     ("needs", "when it is likely done: place in the queue x 99th percentile of service"),
 ];
 
-/// What a column of a screen shows, if it has a title: `SLACK: remaining time ...`.
+/// What the column with this title shows: `SLACK: remaining time ...`.
 pub(crate) fn column(screen: Screen, title: &str) -> Option<String> {
     let (name, text) = columns(screen).iter().find(|(name, _)| *name == title)?;
     Some(format!("{name}: {text}"))
 }
 
-/// Explanations of a screen's columns.
+/// The explanations of a screen's columns.
 pub(crate) const fn columns(screen: Screen) -> &'static [(&'static str, &'static str)] {
     match screen {
         Screen::Overview | Screen::Settings | Screen::Help => OVERVIEW,

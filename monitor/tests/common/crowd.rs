@@ -25,8 +25,8 @@ fn calm(node: u16) -> Snapshot {
     state
 }
 
-/// Adds what happens to a node of the crowd in a tenth of a second: its first task takes a message, more of them with
-/// the number of the node.
+/// Adds the events of a tenth of a second at a node of the crowd. Its first task takes messages; nodes with higher
+/// numbers take more.
 fn go_on(state: &mut Snapshot, node: u16, period: u64) {
     state.mono_us += 100_000;
     state.uptime_us += 100_000;

@@ -4,8 +4,8 @@ use super::codes::{self, Lint};
 use super::{Finding, Lately, Place};
 use crate::store::NodeIncarnation;
 
-/// The link counters (`runtime/src/link`) with a lint of their own. Any other counter is [`codes::LINK_DISCARDS`],
-/// unless it is routine.
+/// The link counters (`runtime/src/link`) that have a lint of their own. An increase of any other counter is reported
+/// as [`codes::LINK_DISCARDS`], unless it is routine.
 const SIGNS: &[(&str, &Lint)] = &[
     ("checksum", &codes::INTEGRITY),
     ("length", &codes::INTEGRITY),
@@ -27,8 +27,8 @@ const SIGNS: &[(&str, &Lint)] = &[
     ("kernel_dropped", &codes::KERNEL_RESIDENCY),
 ];
 
-/// Packets of a neighbour's previous incarnation, which still arrive after a restart, are routine. So are answers in handshakes
-/// that came too late, on a busy machine.
+/// The reasons of routine drops. Packets of a neighbour's previous incarnation still arrive after a restart. Answers in
+/// handshakes may arrive too late on a busy machine.
 const ORDINARY: &[&str] = &["stale_incarnation", "unproven_session", "stale_session"];
 
 pub(super) fn look(incarnation: &NodeIncarnation, lately: &Lately<'_>, found: &mut Vec<Finding>) {
@@ -50,7 +50,7 @@ pub(super) fn look(incarnation: &NodeIncarnation, lately: &Lately<'_>, found: &m
 }
 
 impl<'a> Lately<'a> {
-    /// The growth of the links' drop counters, by reason.
+    /// By how much the links' drop counters have grown, by reason.
     fn link_discards(&self) -> impl Iterator<Item = (&'a str, u64)> + use<'a> {
         let before = self.before;
         self.after.link_discards.iter().filter_map(move |count| {
