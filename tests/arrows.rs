@@ -1,4 +1,4 @@
-//! Checks the imports between the crates against the picture of ARCHITECTURE.md, with the help of cargo.
+//! Checks that the crates import each other only as the picture in ARCHITECTURE.md shows. The imports come from cargo.
 
 use crate::support::metadata;
 use std::collections::{BTreeMap, BTreeSet};
@@ -58,8 +58,8 @@ fn the_rooms_import_each_other_only_along_the_arrows() {
         let Some(allowed) = allowed.get(package.as_str()) else {
             panic!("`{package}` is new here: say in ARCHITECTURE.md and in this test what it may import")
         };
-        // Tests may import more. The checker's tests compile cells. The macros' tests and the programs of `examples/` run what
-        // the macros generate.
+        // Tests may import more crates. The checker's tests compile cells. The macros' tests and the programs of
+        // `examples/` run the generated code of the macros.
         let tested_with = |name: &String| {
             let both = (package.as_str(), name.as_str());
             [
@@ -103,7 +103,7 @@ fn heavy_libraries_stay_in_their_rooms() {
     }
 }
 
-/// All packages from which a package with these features is built; `known` must be among them.
+/// The names of all packages from which a package with these features is built. `known` must be one of them.
 fn tree_of(package: &str, features: &str, known: &str) -> Vec<String> {
     let output = Command::new(env!("CARGO"))
         .args(["tree", "-p", package, "-e", "normal,build", "--prefix", "none", "--offline"])

@@ -1,4 +1,4 @@
-//! Tests of faults that no run of this command can produce: a stub node reports them.
+//! Tests of faults that no run of this command can cause: a stub node reports them.
 
 use super::scene::Scene;
 use crate::support::runtime_dir;
@@ -33,7 +33,7 @@ fn port(port: PortId, usage: Usage, class: Class, capacity: u16) -> PortView {
     PortView { port, usage, class, len: 0, capacity, min_slack: None, queue: Vec::new(), counters }
 }
 
-/// A state in which both tasks run, and nothing waits.
+/// A node's state in which both tasks run, and no message waits.
 fn healthy() -> Snapshot {
     let task = |task: TaskId| {
         let (usage, capacity) = if task == LEFT { (Usage::Send, 0) } else { (Usage::Receive, 8) };
@@ -61,7 +61,7 @@ fn healthy() -> Snapshot {
     }
 }
 
-/// Reports this fault after a second without faults. It must raise `lint` and nothing else.
+/// Lets the stub report this fault after a second without faults. The fault must raise the finding `lint` and no other.
 fn raises(lint: &str, fault: impl FnOnce(&mut Tells, u64)) {
     let dir = runtime_dir();
     let identity = NodeIdentity {
@@ -121,7 +121,7 @@ fn who_can_only_be_confirmed_is_within_the_margin() {
                 (member.arrived, member.remaining) = (true, remaining);
             }
         }
-        // The left member is about to be released, but the right one must still learn of its arrival.
+        // The left member is about to be released, but the right member does not know yet that the left one has arrived.
         let meeting = &mut tells.snapshot.tasks[LEFT.index()].view.meetings[0];
         meeting.state = MeetingState::WithinMargin;
         meeting.members[RIGHT.index()].arrived = false;
@@ -140,7 +140,7 @@ fn datagrams_that_cannot_be_used_are_told() {
     });
 }
 
-/// A single late timer raises nothing; many late timers do.
+/// A single late timer causes no finding; many late timers do.
 #[test]
 fn timers_that_are_late_as_a_rule_are_told() {
     let of = |count, late, tells: &mut Tells| {
