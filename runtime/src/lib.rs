@@ -79,8 +79,8 @@ pub fn read_clock() -> u64 {
     clock::now()
 }
 
-/// Whether the node's clock comes from the processor's counter between two sleeps of a thread, because the bounds of
-/// benchmarks depend on this.
+/// Whether the node's clock comes from the processor's counter between two sleeps of a thread. Benchmarks ask this,
+/// because their bounds depend on it.
 #[doc(hidden)]
 #[must_use]
 pub fn is_by_counter() -> bool {

@@ -312,8 +312,8 @@ fn the_loss_of_the_lease_interrupts_an_atomic_section_and_what_is_ordered_then_i
     let mut cell = cell(&[0, 1, 0], Ticks(2_000));
     let via = cell.port(PortDecl::new("alive", A, Usage::Response, &[B], Ticks(40_000)));
     cell.port(PortDecl::new("move", A, Usage::Send, &[C], Ticks(50_000)).guard(0));
-    // The lease is longer than the time for which a busy machine keeps a thread from running. So the primary loses it
-    // once, and not before its partner has ended.
+    // The lease is longer than the time for which a busy machine keeps a thread from running. So the primary loses the
+    // lease only once, and not before its partner has ended.
     let [lease, takeover, every] = [3_000_000, 20_000_000, 20_000].map(Ticks);
     let (trusted, mutual) = (false, false);
     cell.couples.push(CoupleDecl { primary: A, standby: B, lease, takeover, every, via, trusted, mutual });

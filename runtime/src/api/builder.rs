@@ -19,7 +19,8 @@ use std::time::Duration;
 /// How many packets the transit buffer of a node holds, unless the program sets another number.
 pub const TRANSIT_CAPACITY: u16 = 1024;
 
-/// For how long a waiting thread spins before it sleeps, by default: about what it takes to wake a thread on another core.
+/// For how long a waiting thread spins before it sleeps, by default: about the time that it takes to wake a thread on
+/// another core.
 pub const SPIN: Duration = Duration::from_micros(50);
 
 /// Collects everything that a node needs before it starts. [`Runtime::builder`] makes one.
@@ -110,7 +111,8 @@ impl Builder {
         self
     }
 
-    /// Sets the program of a task. It runs once, on a thread of its own. [`Context::with_state`] gives it a state.
+    /// Sets the program of a task. The program runs once, on a thread of its own. [`Context::with_state`] gives the
+    /// program a state.
     pub fn task(
         mut self,
         name: &str,
@@ -121,9 +123,9 @@ impl Builder {
         self
     }
 
-    /// Sets the program of a task that is a future. One thread of the node runs all futures, so none of them may block that
-    /// thread. The future waits by `await`, for its communication task or for anything else, and any thread may wake it. If
-    /// it panics, only this task crashes. [`AsyncContext::with_state`] gives it a state.
+    /// Sets the program of a task that is a future. One thread of the node runs all futures, so none of them may block
+    /// that thread. The future waits by `await`, for its communication task or for anything else, and any thread may
+    /// wake it. If the future panics, only this task crashes. [`AsyncContext::with_state`] gives the program a state.
     ///
     /// ```
     /// use imrs_protocol::{Cell, CellTable, PortDecl, Ticks, Usage};

@@ -7,8 +7,8 @@ use std::ops::Deref;
 /// The length of the longest message in bytes: 16 packets.
 pub const LONGEST: usize = 16 * CONTENTS_BYTES;
 
-/// A message of a port: a record of the cell language. Derive it with `imrs_macros::Message` for a struct whose fields are
-/// [`Field`]s, in the order of the record's.
+/// A message of a port: a record of the cell language. Derive it with `imrs_macros::Message` for a struct with the same
+/// fields in the same order. Each of them is a [`Field`].
 ///
 /// ```
 /// use imrs_runtime::message::{LONGEST, Message};

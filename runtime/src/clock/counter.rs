@@ -19,8 +19,8 @@ const BRIEF: u64 = 2_000;
 /// kernel adjusts its clocks by at most 500 in a million. The rate is wrong by at most [`BRIEF`] / [`BASE`] to either
 /// side, which is 200 in a million.
 const SHARE: u64 = 1_024;
-/// The bounds lie apart by this (ns) in addition, because a processor may read its counter before the instructions in
-/// front of that reading are done.
+/// The two bounds of a time lie this much further apart (ns), because a processor may read its counter before it has
+/// done the instructions in front of the reading.
 const SLACK: u64 = 100;
 /// The number of bits behind the binary point of a rate.
 const POINT: u32 = 32;

@@ -24,8 +24,8 @@ struct State {
     leads: bool,
     told: bool,
     called: bool,
-    /// Whether reports are edge-triggered, so that a datagram that is still there is not reported again. For the test that
-    /// must fail.
+    /// Whether reports are edge-triggered, so that a datagram that is still in the socket is not reported again. For
+    /// the test that must fail.
     edges: bool,
 }
 

@@ -58,7 +58,7 @@ fn without_its_fence_the_alarm_hides_an_expiry() {
     }
 }
 
-/// The present instant of these scenes, for all threads.
+/// The present instant in the scenes of this module, for all threads.
 const NOW: Micros = 3;
 
 /// Runs the Timer thread until it must end. Returns how often it served an expiry.

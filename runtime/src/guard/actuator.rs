@@ -99,8 +99,8 @@ pub fn now() -> u64 {
 
 /// The file that holds the newest epoch of a tool, shared by all programs that act with the tool.
 ///
-/// A second file beside it, `PATH.next`, is the queue: a program that waits for an admission locks it, and steps that begin
-/// meanwhile wait behind. So steps in close succession keep no newer epoch out.
+/// A second file beside it, `PATH.next`, is the queue: a program that waits for an admission locks this file, and steps that
+/// begin then wait for it. So steps in close succession keep no newer epoch out.
 ///
 /// The file survives a restart of the machine. When the whole cell restarts, its epochs begin anew. So
 /// [`reset`](Self::reset) the gate before that, or keep the file where a restart of the machine removes it (`/run`).
@@ -337,7 +337,7 @@ impl Deadline {
         Self::at(u64::MAX)
     }
 
-    /// Moves the deadline to a later instant. An earlier one changes nothing, and so does any after a [`stop`](Self::stop).
+    /// Moves the deadline to a later instant. An earlier instant changes nothing; after a [`stop`](Self::stop) no instant does.
     pub fn renew(&self, micros: u64) {
         let later = |now: u64| (now != STOPPED && micros > now).then_some(micros);
         // The update fails if it would change nothing, and that is no error.

@@ -12,8 +12,8 @@
 //! - the lease of the task ends without a renewal, or the time of the action is over;
 //! - the command itself has ended: nothing that the command started stays behind.
 //!
-//! Only then does the guard say how the command ended. If the guard itself is killed, the kernel kills the command: the command
-//! asked for SIGKILL at the death of its parent, before the program of the action started.
+//! After these processes have ended, the guard says how the command ended. If the guard itself is killed, the kernel kills
+//! the command: the command asked for SIGKILL at the death of its parent, before the program of the action started.
 //!
 //! A guard is this same code in a process of its own: the program `imrs-guard`, or any program that calls [`entry`] at the start
 //! of `main`.

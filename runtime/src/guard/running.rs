@@ -121,8 +121,8 @@ impl Group {
 
     /// Kills the command's whole process group, unless the group's number belongs to another process by now.
     fn kill(&self) {
-        // A command that is not reaped keeps the number, and so does every member of its group. So if another process has the
-        // number, the group is empty.
+        // A command that is not reaped keeps its process id, and so does each member of its group. So if another
+        // process has the id, the group is empty.
         let is_reaped = self
             .command
             .as_ref()

@@ -10,7 +10,7 @@ pub struct Errand {
     pub limit: u64,
     /// The instant at which the lease of the task ends unless it is renewed.
     pub lease: Option<u64>,
-    /// The epoch of that lease.
+    /// The epoch of the task's lease.
     pub epoch: Option<u8>,
     /// The cores that the command may use, as `0,1,5`; `None` for those of the node.
     pub cores: Option<String>,

@@ -78,7 +78,7 @@ pub trait Sink: Send + Sync {
 /// second.stop(Duration::from_secs(10));
 /// ```
 pub trait Link: Send + Sync {
-    /// Whether the link would take a send to this neighbour now.
+    /// Whether the link would take packets for this neighbour now.
     fn ready(&self, next: NodeId) -> bool;
 
     /// How many packets the link takes in one call, at most: by default as many as a datagram holds. A node gathers up

@@ -248,7 +248,8 @@ impl Comm {
         let at = self.now() + elapsed.0;
         let mut input = stamped.input;
         if let Input::Packet(packet) = &mut input {
-            // Another thread has advanced the machine beyond the packet's stamp, so the packet is charged for that time, too.
+            // Another thread has advanced the machine beyond the packet's stamp, so the packet is charged for the time
+            // since its stamp, too.
             packet.remaining = packet.remaining - Ticks(at.saturating_sub(stamped.at));
         }
         let mut completion = None;

@@ -23,9 +23,9 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::task::{Context, Wake, Waker};
 use std::thread::JoinHandle;
 
-/// After so many waits in a row that the link did not end, the thread stops leading until the link brings something: to
-/// be woken in the link costs two more syscalls than a wake-up elsewhere. One wait is too few, because each delay of a
-/// future ends a wait.
+/// After this many waits in a row that the link did not end, the thread stops leading until the link brings something:
+/// to be woken in the link costs two more syscalls than a wake-up elsewhere. One wait is too few, because each delay of
+/// a future ends a wait.
 const ELSEWHERE: u32 = 8;
 
 impl Node {

@@ -223,8 +223,9 @@ fn put(batches: &mut [Batch], packet: Option<(NodeId, Packet)>) -> bool {
 }
 
 impl Batch {
-    /// Sorts each datagram into the order in which the buffer would have given it out. It does not sort the whole batch,
-    /// because a message that more than 63 later messages of its source overtake would count as already seen (D75, D129).
+    /// Sorts each datagram into the order in which the buffer would have given it out. It does not sort the whole
+    /// batch. Otherwise more than 63 later messages of a source might overtake an earlier one, which would then count
+    /// as already seen (D75, D129).
     fn sort(&mut self) {
         let urgency = |packet: &Packet| (packet.remaining, packet.class);
         self.packets.chunks_mut(MAX_PACKETS).for_each(|datagram| datagram.sort_by_key(urgency));

@@ -1,4 +1,5 @@
-//! Input left for the next thread that runs a communication task: stored without that task's lock, taken in the same order.
+//! Input that is left for the next thread that runs a communication task. The input is stored without the task's lock,
+//! and taken in the order in which it was stored.
 
 use crate::sync::{AtomicUsize, Mutex, Ordering, lock};
 /// This is the standard library's atomic, which no explorer explores, because that flag is only a hint.

@@ -111,8 +111,8 @@ impl<P: Plants<Plant>> ReadyFutures<P> {
             word.store(0, Ordering::Release);
             return ready;
         }
-        // The word is swapped only if it has marks. The waker of a mark that this load misses has called the thread, or
-        // is about to, and so keeps it awake.
+        // The word is swapped only if it has marks. If this load misses a mark, the waker of that mark has called the
+        // thread, or is about to call it, and so keeps the thread awake.
         if word.load(Ordering::Relaxed) == 0 { 0 } else { word.swap(0, Ordering::AcqRel) }
     }
 }

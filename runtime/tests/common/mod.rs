@@ -59,8 +59,8 @@ pub fn one_node(table: &Arc<CellTable>) -> Builder {
     Runtime::builder(Arc::clone(table), NodeId(0))
 }
 
-/// The builder of a node of an in-process network, in its first incarnation. Until all nodes have joined, packets to the
-/// missing ones are lost. So make all builders before you start a node.
+/// The builder of a node of an in-process network, in its first incarnation. Until all nodes have joined, packets to
+/// the missing nodes are lost. So make all builders before you start a node.
 pub fn on(network: &Arc<Network>, table: &Arc<CellTable>, node: u16) -> Builder {
     let link = network.join(NodeId(node), imrs_protocol::Incarnation(1), false);
     Runtime::builder(Arc::clone(table), NodeId(node))

@@ -1,4 +1,5 @@
-//! The rig of these tests: three nodes with a link between any two, a task on each, and a sink that records.
+//! Helpers of the tests of the UDP link: three nodes with a link between any two, a task on each node, and a sink that
+//! records packets.
 
 use imrs_protocol::{
     Cell, CellTable, Class, Contents, Incarnation, Kind, MAX_HOPS, MessageId, NodeId, NodeTable, Packet,

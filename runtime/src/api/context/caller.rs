@@ -270,7 +270,7 @@ impl Caller {
         self.tell(Request::Abandon);
     }
 
-    /// The program has ended: the task answers no heartbeat any more, so that its partner takes over (D61).
+    /// Notes that the program has ended. From now on the task answers no heartbeat, so that its partner takes over (D61).
     pub fn end(&mut self) {
         self.give_up();
         self.tell(Request::End);
@@ -292,8 +292,8 @@ impl Caller {
         let _answered = self.node.ask(self.place, clock::next(), request, &mut |_| None, &mut self.effects);
     }
 
-    /// A message that the task takes now, `age` after its communication task gave it out, with its remaining time. `None` if it
-    /// expired in between, because the thread or its whole process stood still.
+    /// A message with the remaining time that it has when the task takes it, `age` after the communication task gave it
+    /// out. `None` if the message expired in between, because the thread or its whole process stood still.
     pub fn in_hand(&mut self, message: &Delivery, age: Ticks) -> Option<Delivery> {
         self.taken = Some(message.from);
         self.still_alive(message, age)

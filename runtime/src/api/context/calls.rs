@@ -51,7 +51,7 @@ pub(super) trait Calls {
         }
     }
 
-    /// Hands all fragments of a long message but the first to the communication task, and returns the first (D28).
+    /// Hands the fragments of a long message, except the first, to the communication task. Returns the first fragment (D28).
     async fn staged(
         &mut self,
         port: PortId,

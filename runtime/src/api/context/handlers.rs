@@ -12,7 +12,8 @@ type OnMessage<S> = Rc<dyn Fn(&mut Context<S>, Delivery) -> Result<(), TaskError
 type OnTimer<S> = Rc<dyn Fn(&mut Context<S>) -> Result<(), TaskError>>;
 type OnTakeover<S> = Rc<dyn Fn(&mut Context<S>, u8) -> Result<(), TaskError>>;
 
-/// The handlers of a task. Shared while they run, because a handler may interrupt itself if its message outranks it.
+/// The handlers of a task. They are shared while they run: a message that outranks a running handler may call the same
+/// handler again.
 pub(super) struct Handlers<S> {
     messages: Vec<(PortId, OnMessage<S>)>,
     timers: Vec<(TimeId, OnTimer<S>)>,
@@ -76,7 +77,7 @@ impl<S> Default for Handlers<S> {
 /// # assert!(ends.iter().all(|(_, end)| *end == imrs_runtime::TaskEnd::Returned), "{ends:?}");
 /// ```
 impl<S> Context<S> {
-    /// From here on, the handler takes the messages of this port: [`receive`](Context::receive) without a port skips it.
+    /// From this call on, the handler takes the messages of this port: [`receive`](Context::receive) without a port skips it.
     ///
     /// # Errors
     /// [`Fault::WrongUsage`] if the task does not receive on this port.
@@ -91,8 +92,8 @@ impl<S> Context<S> {
         Ok(())
     }
 
-    /// Answers each query or command of this port with what the handler returns. An answer that comes too late is dropped: its
-    /// sender has its outcome already.
+    /// Answers each query or command of this port with what the handler returns. An answer that comes too late is
+    /// dropped: the sender of the request has its outcome already.
     ///
     /// # Errors
     /// As [`on_message`](Self::on_message); when the handler runs, [`TaskError::NotThisType`].
@@ -162,7 +163,8 @@ impl<S> Context<S> {
         self.handlers.takeover = Some(Rc::new(handler));
     }
 
-    /// A statement boundary: handlers that outrank the task's thread run here. For loops that compute without waiting.
+    /// A statement boundary: handlers that outrank the task's thread run here. Call this in loops that compute without
+    /// waiting.
     ///
     /// # Errors
     /// [`TaskError`].

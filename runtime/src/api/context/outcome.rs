@@ -118,7 +118,7 @@ pub enum Asked<M = Bytes> {
     TimedOutUnsent,
     /// The time_out ended without an answer; the command may have run.
     TimedOutUnknown,
-    /// The destination's node restarted meanwhile; the command may have run.
+    /// The destination's node restarted before the answer came; the command may have run.
     PeerRestarted,
 }
 
@@ -149,7 +149,7 @@ pub struct Received<M> {
     pub message: M,
     /// Names the message for a reply, and its sender.
     pub from: ReplyTo,
-    /// Its remaining time, in microseconds: for a command, the execution budget.
+    /// The remaining time of the message, in microseconds: for a command, the execution budget.
     pub budget: Ticks,
 }
 

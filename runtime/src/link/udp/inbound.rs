@@ -51,8 +51,8 @@ impl Inbound {
         self.from.is_none()
     }
 
-    /// Receives from the socket with `receive`. If another thread is already receiving, that thread receives once more in
-    /// place of this one, and this returns false.
+    /// Receives from the socket with `receive`. If another thread is already receiving, that thread receives once more
+    /// in place of this thread, and the function returns false.
     pub(super) fn try_take_in(&self, mut receive: impl FnMut(&mut Queue)) -> bool {
         let mut is_done = false;
         self.queue.want();
@@ -81,7 +81,7 @@ impl UdpLink {
         }
     }
 
-    /// Ends the rest of the socket of strangers if its time is over; otherwise returns the instant at which the rest ends.
+    /// Ends the pause of the socket of strangers if its time is over. Otherwise returns the instant at which the pause ends.
     pub(super) fn end_of_rest(&self) -> Option<Instant> {
         let mut rest = lock(&self.rest);
         if rest.is_some_and(|until| until <= Instant::now()) {

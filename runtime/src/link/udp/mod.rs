@@ -88,7 +88,7 @@ pub struct UdpLink {
     rest: Mutex<Option<Instant>>,
     /// The sockets that the kernel reported to the leader, and from which the leader has not received yet.
     told: Mutex<ReadySockets>,
-    /// Receive buffers, one for each receiving thread: the polling one, the leader, and threads that spin before they sleep.
+    /// Receive buffers, one for each receiving thread: the polling thread, the leader, and threads that spin before they sleep.
     rooms: Mutex<Vec<Room>>,
     /// All neighbours, ascending by node id.
     peers: Box<[Peer]>,

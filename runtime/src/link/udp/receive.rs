@@ -24,7 +24,7 @@ use std::time::Duration;
 const BATCH: usize = 64;
 /// The same limit for the socket of strangers: neighbours wait for at most this many of its datagrams.
 const STRANGERS_BATCH: usize = 16;
-/// How long ago the socket may have been seen empty before a thread that takes one datagram looks for more datagrams.
+/// If a socket was seen empty within this time, a thread takes only one datagram from it, otherwise up to [`BATCH`].
 const EMPTY_OFTEN: Duration = Duration::from_millis(10);
 
 /// The result of a visit to a socket.
@@ -180,7 +180,7 @@ impl UdpLink {
             Evidence::ClockSet => UdpCount::ClockSet,
         };
         self.statistics.add(count, 1);
-        // The whole time since the socket was empty is charged. `Instant` stands still while the machine is suspended, so
+        // The whole time since the socket was seen empty is charged. `Instant` stands still while the machine is suspended, so
         // that time is added.
         let slept = clock::look_for_suspend().saturating_sub(empty.suspended);
         Ticks(waited.saturating_add(slept))

@@ -97,8 +97,8 @@ impl UdpLink {
                     return Ok(datagrams.len());
                 }
                 Err(error) if is_full(&error) => return Err(self.found_full(peer)),
-                // After this error each datagram leaves by itself. If one has left all the same, the receiver recognises its
-                // counter.
+                // After this error each datagram is sent by itself. If one left in spite of the error, the receiver
+                // recognises its counter.
                 Err(_) => {}
             }
         }

@@ -45,7 +45,8 @@ counts! {
     StrangersDropped = "strangers_dropped",
     /// Sends that found the kernel's send queue full; the packets were kept.
     Busy = "send_busy",
-    /// Sends that failed: the other side has no such socket (ECONNREFUSED). The kernel reports it with the next send or receive.
+    /// Sends that failed: no socket has the neighbour's address (ECONNREFUSED). The kernel reports this with the next
+    /// send or receive.
     SendRefused = "send_refused",
     /// Sends that failed: no memory in the kernel (ENOBUFS, ENOMEM).
     SendNoBuffers = "send_no_buffers",

@@ -144,7 +144,7 @@ impl Watch {
         Ok(self.seen(told, wake))
     }
 
-    /// Waits with a precise timeout. A thread that waits so wakes other threads, too, which does no harm in so short a wait.
+    /// Waits with a precise timeout. Such a wait wakes other threads, too. That does no harm, because the wait is short.
     fn wait_exactly(&self, left: Duration) -> rustix::io::Result<Seen> {
         if !left.is_zero() {
             poll(&mut [PollFd::new(&self.epoll, PollFlags::IN)], Timespec::try_from(left).ok().as_ref())?;

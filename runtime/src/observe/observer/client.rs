@@ -285,7 +285,8 @@ impl Client {
                 Denied::WrongToken
             }
             (None, _) | (Some(_), Ok(ClientFrame::Proof(_))) if room => return self.admit(),
-            // Another monitor took the last place meanwhile. If this monitor connects again, it gets an answer that says so.
+            // Another monitor has taken the last free place in the meantime. If this monitor connects again, it gets an
+            // answer that says so.
             (None, _) | (Some(_), Ok(ClientFrame::Proof(_))) => return Err(Gone),
             (Some(_), _) => Denied::NoToken,
         };

@@ -9,7 +9,7 @@ use std::rc::Rc;
 use std::time::Duration;
 
 impl<S> AsyncContext<S> {
-    /// From here on, the handler takes the messages of this port: [`receive`](Self::receive) without a port skips it.
+    /// From this call on, the handler takes the messages of this port: [`receive`](Self::receive) without a port skips it.
     ///
     /// # Errors
     /// [`Fault::WrongUsage`] if the task does not receive on this port; when the handler runs, [`TaskError::NotThisType`].
@@ -24,8 +24,8 @@ impl<S> AsyncContext<S> {
         })
     }
 
-    /// Answers each query or command of this port with what the handler returns. An answer that comes too late is dropped: its
-    /// sender has its outcome already.
+    /// Answers each query or command of this port with what the handler returns. An answer that comes too late is
+    /// dropped: the sender of the request has its outcome already.
     ///
     /// # Errors
     /// The errors of [`on_message`](Self::on_message).
