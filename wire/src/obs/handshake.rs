@@ -132,7 +132,7 @@ impl Handshake {
 /// Chooses the version that a node and a monitor use with each other. Each argument is a version and its schema.
 ///
 /// # Errors
-/// The refusal that the node sends if the two have no version in common.
+/// The refusal that the node sends if node and monitor have no version in common.
 pub fn agree(node: (Version, u32), monitor: (Version, u32)) -> Result<Version, Refusal> {
     if node.0.major != monitor.0.major {
         return Err(Refusal::OtherMajor { node: node.0, monitor: monitor.0 });

@@ -42,7 +42,7 @@ pub struct TimerEntry {
 pub struct Count {
     /// The name of the counted thing, in snake_case, as [`Reason::name`](imrs_protocol::Reason::name) returns it.
     pub name: String,
-    /// How many of these things the node has counted.
+    /// How often the node has counted this thing.
     pub count: u64,
 }
 

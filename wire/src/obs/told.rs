@@ -55,13 +55,13 @@ pub struct Vitals {
 pub struct Lateness {
     /// How many expiries the Timer handled since the start.
     pub count: u64,
-    /// How many of these expiries were handled later than the declared tick of the cell.
+    /// How many of the handled expiries were later than the declared tick of the cell.
     pub late: u64,
     /// Median lateness of the expiries since the previous frame of this kind, in microseconds.
     pub p50_us: u64,
-    /// The 99th percentile of the lateness of these expiries, in microseconds.
+    /// The 99th percentile of the same lateness, in microseconds.
     pub p99_us: u64,
-    /// The greatest lateness of these expiries, in microseconds.
+    /// The greatest lateness of an expiry since the previous frame of this kind, in microseconds.
     pub max_us: u64,
 }
 

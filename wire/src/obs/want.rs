@@ -59,7 +59,7 @@ impl EventFilter {
 pub struct Kinds(u64);
 
 impl Kinds {
-    /// Every kind, including those of later versions.
+    /// Every kind of observation, including the kinds of later versions.
     pub const ALL: Self = Self(u64::MAX);
     /// No kind of event.
     pub const NONE: Self = Self(0);
