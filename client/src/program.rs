@@ -25,7 +25,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// How often the run checks whether the tasks have ended.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 
-/// Adds the program of an extern task to the builder of the task's node. The program begins when the gate opens.
+/// Adds the program of an extern task to the builder of the task's node. The program waits for the [`Gate`] before it begins.
 type Adds = Box<dyn FnOnce(Builder, Gate) -> Builder + Send>;
 
 /// Nodes of a cell file, with Rust functions for its actions and its extern tasks.
@@ -373,7 +373,7 @@ impl Program {
     }
 }
 
-/// Waits until the gate opens, and says whether the programs begin.
+/// Waits until the gate has its value. Returns an error if the programs of extern tasks must not begin.
 fn begins(gate: &Gate) -> Result<(), TaskError> {
     if *gate.wait() { Ok(()) } else { Err(TaskError::Stopped) }
 }

@@ -143,8 +143,8 @@ fn two_programs(state: &Path, address: &str, with_keys: bool) {
 
 #[test]
 fn a_body_finds_the_other_nodes_when_it_begins() {
-    // The nodes start in the order of the cell. Starting those between `na` and `nb` takes so long that a message sent
-    // too early would find no receiver.
+    // The nodes start in the order of the cell. Starting the nodes between `na` and `nb` takes so long that a message
+    // sent too early would find no receiver.
     let between: String = (0..40).map(|i| format!("node n{i};\n")).collect();
     let cell = format!(
         r#"
