@@ -54,9 +54,9 @@ pub struct Settled {
 /// For how long it is unknown whether a check held.
 #[derive(Clone, Debug, Serialize)]
 pub struct Unvouched {
-    /// The sum of these times, in seconds.
+    /// For how long in all it is unknown, in seconds.
     seconds: f64,
-    /// The reason for the largest part of these times.
+    /// The main reason: it explains the largest part of that time.
     why: String,
 }
 
