@@ -61,9 +61,9 @@ pub(crate) const EXHAUSTED: [i32; 4] = [
     Errno::AGAIN.raw_os_error(),
 ];
 
-/// Whether a panic message says that the operating system has run out of one of these resources, in one of the two
-/// forms of an [`io::Error`]. Libraries may panic on such an error, as the standard library does when a new thread gets
-/// no memory for its signal stack.
+/// Whether a panic message says that the operating system has run out of one of the resources of `EXHAUSTED`, in one of
+/// the two forms of an [`io::Error`]. Libraries may panic on such an error, as the standard library does when a new
+/// thread gets no memory for its signal stack.
 pub fn says_exhausted(panic: &str) -> bool {
     let says = |code| {
         [format!("Os {{ code: {code},"), format!("(os error {code})")].map(|form| panic.contains(&form))

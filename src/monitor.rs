@@ -139,11 +139,11 @@ struct Stage {
     folder: PathBuf,
 }
 
-/// The text of the cell of these nodes.
+/// The text of the cell of the monitored nodes.
 const CELL: &str = include_str!("demo/assembly.cell");
-/// The number of nodes of that cell.
+/// The number of nodes in the monitored cell.
 const NODES: usize = 5;
-/// The file name of the cell in the folder of these nodes.
+/// The name of the cell file in the folder of the monitored nodes.
 const FILE: &str = "assembly.cell";
 /// The tasks whose nodes are killed, one after the other.
 const MORTALS: [&str; 3] = ["hoist", "vision", "armL"];

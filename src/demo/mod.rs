@@ -37,7 +37,8 @@ pub struct Scene {
     length: Duration,
     /// The demo's fault; `None` if the cell itself causes the trouble.
     moment: Option<Moment>,
-    /// How results of simulated actions change with time: the action, the action that starts the change, and its duration.
+    /// Simulated actions whose result changes with time. For each: the action, the action that starts the change, and
+    /// how long the change takes.
     ramps: &'static [(&'static str, &'static str, Duration)],
     /// Explains what happened, and says whether the promise was kept.
     explain: fn(&Story<'_>) -> Outcome,

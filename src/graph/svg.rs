@@ -1,6 +1,6 @@
-//! Draws a cell as SVG: the nodes in a row with their tasks, and below them one row per port. Arrows follow the messages
-//! between the owner and the users; a white head marks the answer. Nothing overlaps, and the same cell always gives the same
-//! picture.
+//! Draws a cell as SVG: the nodes in a row with their tasks, and below them one row per port. Arrows follow the
+//! messages between the owner and the users; a white head stands for the answer. Nothing overlaps, and the same cell
+//! always gives the same picture.
 
 use super::{flow, label, links};
 use imrs_language::hir::{Hir, Port};

@@ -43,7 +43,7 @@ pub struct Surroundings {
 /// A set of equal packets.
 #[derive(Default)]
 struct Alike {
-    /// When each of these packets was sent, and whether it can have arrived in time.
+    /// When each packet of the set was sent, and whether it can have arrived in time.
     sent: Vec<(u64, bool)>,
     came: Vec<u64>,
 }

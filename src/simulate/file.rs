@@ -24,7 +24,7 @@ struct File {
     /// The cell for which the schedule was saved.
     #[serde(skip_serializing_if = "Option::is_none")]
     cell: Option<String>,
-    /// The digest of that cell's declarations.
+    /// The digest of the declarations of the cell for which the schedule was saved.
     #[serde(skip_serializing_if = "Option::is_none")]
     digest: Option<String>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

@@ -28,7 +28,7 @@ pub(super) struct Answer<'a> {
     findings: Vec<FindingAnswer<'a>>,
     /// Findings that may be intended: tasks that go on for ever without progress.
     warnings: Vec<FindingAnswer<'a>>,
-    /// Statements that are never reached with these faults.
+    /// Statements that are never reached with the faults that were searched.
     not_exercised: Vec<Place<'a>>,
     /// The values with which messages of extern tasks were tried in integer fields. The second list has those for
     /// `real` fields.
@@ -37,7 +37,7 @@ pub(super) struct Answer<'a> {
     /// Values that were not tried, because there are too many.
     outside_left_out: &'a [i64],
     outside_real_left_out: &'a [f32],
-    /// Statements that are never reached with these values. With other values they may be reached.
+    /// Statements that are never reached with the tried values of extern tasks. With other values they may be reached.
     not_tried: Vec<Place<'a>>,
     /// Statements that were not reached before a search ended or had a finding. So it is unknown whether they can be reached.
     not_seen: Vec<Place<'a>>,
@@ -149,8 +149,8 @@ struct Searched<'a> {
 #[derive(Serialize)]
 struct Left<'a> {
     states: u64,
-    /// How many of these states the following fields describe. Then, how many of the described states differ in
-    /// something other than times.
+    /// How many of the states that were not explored the following fields describe. Then, how many of the described
+    /// states differ in something other than times.
     sampled: u64,
     apart_from_times: u64,
     /// The variables with the most values.

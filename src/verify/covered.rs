@@ -1,5 +1,5 @@
-//! Texts about how far a search came: what it covered and, if a budget ended it, what makes it large and what would let
-//! it end.
+//! Texts about how far a search came: what it covered. If a budget ended the search, they also say what makes it large,
+//! and what would let it end.
 
 use super::subject::Subject;
 use crate::output::{count, grouped};
