@@ -44,9 +44,9 @@ pub enum Action {
     NextError,
     /// Selects the previous critical event.
     PreviousError,
-    /// Shows the beginning of a recording or, while paused, of the history; elsewhere selects the first row.
+    /// Shows the beginning of a recording or, while paused, of the history; on other screens selects the first row.
     Oldest,
-    /// Shows the end of a recording; elsewhere selects the last row.
+    /// Shows the end of a recording; on other screens selects the last row.
     Newest,
     /// Moves back to the previous stop: an instant of the recording at which something changed.
     StepBack,

@@ -260,7 +260,7 @@ fn steps(player: &mut Player, out: &mut impl Write) -> io::Result<()> {
     Ok(())
 }
 
-/// Prints a line for every notable event. The journal keeps only the newest entries, so it is read stop by stop.
+/// Prints a line for every notable event. The journal keeps only the newest entries, so it is read at every stop of the recording.
 fn entries(player: &mut Player, out: &mut impl Write) -> io::Result<()> {
     let mut next = 0;
     for stop in 0..player.film().stops().len() {

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 /// How long the main loop may take to restore the terminal before this thread restores it.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// How long the terminal may then take to accept the output that restores it.
+/// How long the terminal may take to accept the output with which this thread restores it.
 const LAST_MOMENT: Duration = Duration::from_millis(200);
 
 /// A signal's request to the main loop.

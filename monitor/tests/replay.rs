@@ -47,8 +47,7 @@ fn story() -> Story {
     }
 }
 
-/// A recording of a counterexample: forty steps of two milliseconds. A packet is lost in step 3, the hoist dies in step 20, and
-/// step 40 is the finding.
+/// A counterexample of forty steps of two milliseconds: step 3 loses a packet, the hoist dies in step 20, step 40 is the finding.
 fn film() -> Vec<(u16, u64, Shown)> {
     let mut records = vec![(0, 0, Shown::Story(story()))];
     for number in 0..=40 {

@@ -68,7 +68,7 @@ pub enum ExportError {
 pub struct Exported {
     /// How many units the export contains.
     pub count: usize,
-    /// The word for these units: lines, messages, marks or frames.
+    /// The word for the counted units: lines, messages, marks or frames.
     pub what: &'static str,
 }
 

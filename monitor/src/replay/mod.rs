@@ -23,7 +23,7 @@ use thiserror::Error;
 
 /// The greatest number of intermediate states that are kept, so that moving back is quick.
 const KEPT: usize = 32;
-/// The approximate memory limit of these states, in bytes. Two of them are kept whatever their size.
+/// The approximate memory limit of the kept intermediate states, in bytes. Two states are kept even if they are larger.
 const KEPT_BYTES: usize = 12 << 20;
 /// The least number of stops between two kept states.
 const APART: usize = 16;

@@ -41,11 +41,11 @@ pub struct Blocker {
     pub level: Severity,
     /// The tasks that cause the block. There are several if the same tasks wait for each of them.
     pub tasks: Vec<TaskId>,
-    /// The place of the first of these tasks.
+    /// The place of the first of the tasks that cause the block.
     pub place: Place,
-    /// The names of these tasks: `belt@nd`; for a dead node its name: `nd`.
+    /// The names of the tasks that cause the block: `belt@nd`; for a dead node its name: `nd`.
     pub name: String,
-    /// What the first of these tasks does: `DEAD 9s`, `receive halt`.
+    /// What the first task that causes the block does: `DEAD 9s`, `receive halt`.
     pub state: String,
     /// The tasks that wait for the cause, directly or indirectly, ascending.
     pub by: Vec<TaskId>,
@@ -53,7 +53,7 @@ pub struct Blocker {
     pub why: String,
     /// The length of the longest wait, in microseconds.
     pub waited_us: Option<u64>,
-    /// The 99th percentile of the time that such a wait takes, in microseconds.
+    /// The 99th percentile of the time that a wait of this kind takes, in microseconds.
     pub usual_us: Option<u64>,
 }
 

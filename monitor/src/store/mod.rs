@@ -1,4 +1,4 @@
-//! The store: the state and the events of every observed node. It contains only reducers, without clock or I/O.
+//! The store: the state and the events of every observed node. It reads no clock and does no I/O.
 
 pub mod blocked;
 pub mod conformance;

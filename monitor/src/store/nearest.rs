@@ -6,8 +6,8 @@ use crate::clock::Moment;
 use crate::name::Name;
 use imrs_protocol::{MessageId, PortId, TaskId, Usage};
 
-/// How many ports are searched for such messages: those with the least slack. Examining each message of ten thousand
-/// ports would take longer than a frame.
+/// How many ports are searched for messages that may miss their deadline: the ports with the least slack. Examining
+/// each message of ten thousand ports would take longer than a frame.
 const PORTS: usize = 64;
 
 /// A queued message, with the time that it has left and needs.

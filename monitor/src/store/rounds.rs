@@ -95,7 +95,7 @@ pub struct Summary {
     pub divergent: usize,
     /// The median time from the first arrival to the last, in microseconds; only of rounds in which all members arrived.
     pub gather_p50_us: Option<u64>,
-    /// The 99th percentile of that time.
+    /// The 99th percentile of the time from the first arrival to the last, in microseconds.
     pub gather_p99_us: Option<u64>,
     /// The member that most often arrived last, and in what percentage of the rounds it did.
     pub slowest: Option<(TaskId, usize)>,

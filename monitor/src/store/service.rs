@@ -33,7 +33,7 @@ pub struct Service {
     /// Median service time in microseconds: from delivery until the answer, or until the task takes the next queued
     /// message. `None` if there are too few samples.
     pub p50_us: Option<u64>,
-    /// The forecast that follows from these service times.
+    /// The forecast that follows from the service times.
     pub outlook: Outlook,
     /// The number of kept service times, at most 256.
     pub samples: usize,
@@ -41,10 +41,10 @@ pub struct Service {
     pub by_source: Vec<(TaskId, Share)>,
     /// How many messages were queued in recent samples, oldest first.
     pub fill: Vec<u16>,
-    /// The 5th percentile of the slack of the most urgent queued message in those samples, in microseconds; `None` if
-    /// no message was queued.
+    /// The 5th percentile of the slack of the most urgent queued message in the recent samples, in microseconds; `None`
+    /// if no message was queued.
     pub slack_p5_us: Option<u64>,
-    /// The median of that slack.
+    /// The median slack of the most urgent queued message in the recent samples, in microseconds.
     pub slack_p50_us: Option<u64>,
     rejected: BTreeMap<(TaskId, u32), u32>,
 }

@@ -64,7 +64,8 @@ const SHOWN: usize = 12;
 /// A link is quiet if its last datagram is older than this.
 const LATELY_US: u64 = 1_000_000;
 
-/// Time since the last datagram at `at` from `peer`, in microseconds; `None` if there was none or it is unknown.
+/// How long ago the node `at` last received a datagram from `peer`, in microseconds. `None` if it has received none, or
+/// if the time is unknown.
 fn heard(app: &App, cell: &Name, at: NodeId, peer: NodeId, now: Moment) -> Option<u64> {
     let incarnation =
         app.store().latest(cell, at).filter(|incarnation| !incarnation.presence(now).is_gone())?;

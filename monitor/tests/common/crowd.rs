@@ -37,7 +37,7 @@ fn go_on(state: &mut Snapshot, node: u16, period: u64) {
 }
 
 impl Stage {
-    /// The crowd after eight seconds. At the end, node 3 is dead, and messages expire and are refused at node 5.
+    /// The large cell after eight seconds. Node 3 is then dead, and messages expire and are refused at node 5.
     pub fn crowd(theme: Theme) -> Self {
         let mut stage = Self::new(theme);
         for arrival in CROWD.arrivals(ms(1_000)) {
