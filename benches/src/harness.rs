@@ -22,8 +22,8 @@ pub struct Round {
     /// The measured values.
     #[serde(flatten)]
     pub sample: Sample,
-    /// How far apart the two processors were during the whole round. `None` for a case on one processor, and if the
-    /// distance changed in every try.
+    /// How far apart the two processors were during the whole round. `None` if the case runs on one processor, or if
+    /// the distance changed in every attempt.
     pub apart: Option<Apart>,
     /// The share of the processors that other programs took during the round, 0 to 1.
     pub others: f64,

@@ -110,10 +110,10 @@ pub enum Against {
     Case(String),
     /// The subject's statistic is compared with another statistic of the same case.
     Itself(Stat),
-    /// It is compared with the same statistic of another case: the difference of the two, divided by this number of
-    /// steps, is bounded.
+    /// The statistic is compared with the same statistic of another case: the difference of the two, divided by this
+    /// number of steps, is bounded.
     Above(String, u32),
-    /// It is compared with nothing: the statistic itself is bounded.
+    /// The statistic is not compared with another one: it is bounded itself.
     Nothing,
 }
 

@@ -299,7 +299,7 @@ pub fn tcp(effort: Effort, full: u32, other: Core) -> Sample {
         s.spawn(move || {
             cores::pin(other);
             let mut buffer = [0; 32];
-            // The other end closes the connection.
+            // The loop ends when the other end closes the connection.
             while b.read_exact(&mut buffer).is_ok() {
                 b.write_all(&buffer).expect("sent");
             }

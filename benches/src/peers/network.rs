@@ -107,7 +107,7 @@ fn tokio_tcp(times: u32, other: Core) -> Sample {
     };
     let serve = async move {
         let (mut stream, mut buffer) = (stream(b), [0; 32]);
-        // The other end closes the connection.
+        // The loop ends when the other end closes the connection.
         while stream.read_exact(&mut buffer).await.is_ok() {
             stream.write_all(&buffer).await.expect("sent");
         }
