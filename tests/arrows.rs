@@ -130,7 +130,7 @@ fn robots_carry_no_model_checker_and_no_screen() {
         "imrs-testkit",
         "imrs",
     ];
-    // The launcher must not depend on this crate either, because it prints nothing.
+    // The launcher must not depend on the crate `imrs` either, because the launcher prints nothing.
     for package in ["imrs-runtime", "imrs-client", "imrs-launch"] {
         for name in tree_of(package, "", "imrs-protocol").iter().skip(1) {
             assert!(!absent.contains(&name.as_str()), "{package} brings {name} along");

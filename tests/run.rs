@@ -121,7 +121,7 @@ fn scripts_meet_and_ask_through_a_node_that_only_relays() {
         // The time_out is long enough for any machine. At the end of the run, `b` takes this long to give up.
         let said = Bench::that_waits(10).run(how);
         let summary = said.last_json();
-        // After `a` has ended, `b` waits for it until its time_out: its abort is the finding.
+        // After `a` has ended, `b` waits for `a` until the time_out. The abort of `b` is the finding.
         assert_eq!(said.code, Some(1), "{said:?}");
         assert!(said.err.contains("task `b` aborted: nobody came (line"), "{said:?}");
         assert!(!said.err.contains("task `a`"), "{said:?}");

@@ -122,8 +122,8 @@ fn keys_are_seen_at_once_while_a_node_tells_fifty_thousand_events_a_second() {
 /// The promised load of an idle screen on a quiet machine, in percent of a core; asserted if `IMRS_QUIET=1` says that
 /// this machine is quiet.
 const IDLE_GOAL: f64 = 3.0;
-/// The limit of that load on any machine, in percent of a core. It is higher, because the cost of a frame depends on
-/// the machine. A loop without sleep takes several times as much.
+/// The limit of the load of an idle screen on any machine, in percent of a core. It is higher, because the cost of a
+/// frame depends on the machine. A loop without sleep takes several times as much.
 const IDLE_MOST: f64 = 25.0;
 /// The least time between two frames.
 const FRAME: Duration = Duration::from_millis(33);

@@ -154,7 +154,7 @@ fn the_demonstration_names_who_is_awaited_and_leaves_nothing_behind() {
     terminal
         .wait_for("who is awaited", |screen| screen.lines().any(|line| line.contains("BLOCKED BY hoist@")));
     println!("the awaited robot named after {:?}; goal 10 s", start.elapsed());
-    // On each of these screens there is something to show.
+    // Each of these screens must show its part of the demo.
     for (key, shown) in [
         ("2", "since attached: service"),
         ("3", "GATHERING"),
