@@ -92,7 +92,7 @@ pub struct PortEnd {
     pub incarnation: IncarnationId,
     /// The task that has the port.
     pub task: TaskId,
-    /// The port.
+    /// The port of that task.
     pub port: PortId,
 }
 

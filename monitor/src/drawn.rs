@@ -19,9 +19,9 @@ pub enum Hit {
     Place(Place),
     /// The title of a sortable column.
     Title(Sort, &'static str),
-    /// A position of the scrub bar, in the unit of its ribbon.
+    /// A position of the scrub bar, in microseconds or steps.
     Scrub(u64),
-    /// A row of the problems.
+    /// A row of the problems screen.
     Problem(ProblemKey),
     /// A line of the screen's list.
     Line(usize),

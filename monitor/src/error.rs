@@ -11,7 +11,7 @@ pub enum MonitorError {
     /// The monitor found no node, or none of the named nodes answered.
     #[error("no running node found{}", reasons(.looked, .failed))]
     NothingFound {
-        /// The folder that was searched, unless the user named endpoints.
+        /// The folder that was searched; `None` if the user named the addresses of nodes.
         looked: Option<PathBuf>,
         /// The failed attempts, one text each.
         failed: Vec<String>,

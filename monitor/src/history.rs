@@ -18,7 +18,7 @@ use std::time::Duration;
 
 /// The greatest memory of the history, in bytes. If a cell sends much, the history covers less time.
 pub const BUDGET: usize = 46 << 20;
-/// The length of a segment.
+/// How much time a segment of the history covers.
 const REEL: Duration = Duration::from_secs(30);
 /// The greatest number of incarnations of nodes that the history keeps, ended ones included.
 const INCARNATIONS: usize = 256;
@@ -100,7 +100,7 @@ impl History {
         self.forget(*at);
     }
 
-    /// The history as a film; `None` if nothing has arrived.
+    /// The history as a recording that can be shown; `None` if nothing has arrived.
     #[must_use]
     pub fn film(&self) -> Option<Film> {
         let open = Some(&self.open).filter(|open| open.reel.began().is_some());
@@ -151,7 +151,7 @@ impl History {
         self.known.iter_mut().rfind(|known| known.source == source)
     }
 
-    /// Starts a segment.
+    /// Ends the present segment of the history, and starts the next one.
     fn turn(&mut self, at: Moment, before: &Store) {
         self.close();
         let mut opening = Reel::default();

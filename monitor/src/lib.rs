@@ -153,7 +153,7 @@ pub fn print(options: &Options, out: &mut impl Write) -> Result<Verdict, Monitor
     plain::print(options, which(options), Clock::start(), out)
 }
 
-/// A source for the nodes that `options` name, with the wishes of `tape`.
+/// A source for the nodes that `options` name, with the subscription of the recorder `tape`.
 fn live(options: &Options, which: Which, tape: &Tape) -> Live {
     Live::new(which).with_token(options.token.clone()).with_wishes(tape.wishes())
 }

@@ -23,7 +23,7 @@ pub enum Endpoint {
     Tcp(String),
 }
 
-/// The error that a text is not an endpoint.
+/// The error that a text is not the address of a node.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("`{0}` names no endpoint: write unix:PATH or tcp:HOST:PORT")]
 pub struct EndpointError(String);

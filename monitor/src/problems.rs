@@ -16,7 +16,7 @@ const NEAREST: usize = 40;
 pub enum Problem {
     /// A block of the cell that no finding mentions.
     Block(Blocker),
-    /// A finding.
+    /// A finding of the cell.
     Finding {
         /// The finding of this row.
         finding: Finding,
@@ -32,7 +32,7 @@ pub enum Problem {
 pub enum ProblemKey {
     /// A finding, or a block, by its code and place.
     At(&'static str, Place),
-    /// A message.
+    /// A message near its deadline.
     Message(IncarnationId, TaskId, PortId, Option<(TaskId, MessageId)>),
 }
 

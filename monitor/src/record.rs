@@ -99,8 +99,8 @@ pub struct Recorded {
 }
 
 impl Tape {
-    /// What the recorder wants from the nodes: whole snapshots. The owner of this recorder passes these wishes to the
-    /// sources.
+    /// What the recorder wants from the nodes: whole snapshots. The owner of this recorder passes this subscription to
+    /// the sources.
     #[must_use]
     pub const fn wishes(&self) -> &Wishes {
         &self.wishes

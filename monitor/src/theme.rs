@@ -29,21 +29,21 @@ pub enum Ink {
 /// The signs in rows and bars, each one column wide.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Glyphs {
-    /// Before the selected row.
+    /// The sign before the selected row.
     pub selected: &'static str,
-    /// Before a row whose inner rows are shown.
+    /// The sign before a row whose inner rows are shown.
     pub open: &'static str,
-    /// Before a row whose inner rows are hidden.
+    /// The sign before a row whose inner rows are hidden.
     pub closed: &'static str,
-    /// Before a dead node.
+    /// The sign before a dead node.
     pub dead: &'static str,
     /// The filled part of a bar.
     pub full: &'static str,
     /// The empty part of a bar.
     pub empty: &'static str,
-    /// In the matrix of arrivals: the member knows of the arrival.
+    /// The sign in the matrix of arrivals if the member knows of the arrival.
     pub yes: &'static str,
-    /// In the matrix of arrivals: the member does not know of the arrival.
+    /// The sign in the matrix of arrivals if the member does not know of the arrival.
     pub no: &'static str,
     /// An arrow to the right, from one task to another.
     pub arrow: &'static str,
@@ -59,9 +59,9 @@ pub struct Glyphs {
     pub met: &'static str,
     /// The mark of a rejection by rank.
     pub penalty: &'static str,
-    /// In a bar: the mark at the forecast of completion.
+    /// The mark in a bar at the forecast of completion.
     pub done: &'static str,
-    /// In a bar: the time until a rejected message is offered again.
+    /// The part of a bar for the time until a rejected message is offered again.
     pub wait: &'static str,
     /// Columns of eight heights, from empty to full.
     pub heights: [&'static str; 8],

@@ -55,7 +55,7 @@ pub struct Lanes {
     lane: Option<TaskId>,
     /// The tasks when the timeline was opened, busiest first. If there is no room for all lanes, the busiest are shown first.
     busiest: Vec<TaskId>,
-    /// An index into [`ZOOMS`].
+    /// The zoom of the timeline, as an index into [`ZOOMS`].
     zoom: usize,
     /// The mark in the bottom row; `None` if the timeline follows the latest mark.
     held: Option<Anchor>,

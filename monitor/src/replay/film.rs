@@ -28,7 +28,7 @@ struct Frame {
     bytes: Range<u32>,
 }
 
-/// A segment of consecutive frames, which a film and the growing history can share.
+/// A segment of consecutive frames, which a recording and the growing history can share.
 #[derive(Clone, Debug, Default)]
 pub struct Reel {
     bytes: Vec<u8>,
@@ -172,7 +172,8 @@ impl Film {
         Ok(film)
     }
 
-    /// A film of the present run: `opening` has the state at the start of the history, `reels` the later frames.
+    /// The history of the present run, as a film: `opening` has the state at the start of the history, `reels` the
+    /// later frames.
     #[must_use]
     pub fn of(cell: String, opening: Arc<Reel>, reels: Vec<Arc<Reel>>) -> Self {
         let mut film = Self { cell, ..Self::default() };
@@ -188,7 +189,7 @@ impl Film {
         film
     }
 
-    /// Adds a frame to the film.
+    /// Adds a frame to this recording.
     fn add(&mut self, source: u16, at: u64, bytes: &[u8], shown: Shown, in_story: &mut bool) {
         let at = Duration::from_micros(at);
         let odd = match &shown {

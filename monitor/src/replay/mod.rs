@@ -174,7 +174,7 @@ impl Player {
         }
     }
 
-    /// Applies an arrival that the film does not contain to the shown store.
+    /// Applies an arrival that the recording does not contain to the shown store.
     pub(crate) fn add(&mut self, arrival: Arrival) {
         self.store.apply(arrival);
     }

@@ -20,7 +20,7 @@ pub struct Ribbon {
 }
 
 impl Ribbon {
-    /// The ribbon of a film.
+    /// The data of the scrub bar for a recording.
     #[must_use]
     pub fn of(film: &Film) -> Self {
         let steps = film.story.is_some();

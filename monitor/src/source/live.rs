@@ -1,4 +1,4 @@
-//! A source for running nodes: named endpoints, or all sockets of the socket folder, also those that appear later.
+//! A source for running nodes: at named addresses, or at all sockets of the socket folder, also those that appear later.
 
 use super::session::{self, End, Pace, Talk};
 use super::{Feed, Sink, Source, SourceId, Wishes};
@@ -64,14 +64,14 @@ impl Live {
         self
     }
 
-    /// Sets the wishes that this source passes to the nodes.
+    /// Sets the subscription ([`Wishes`]) that this source passes to the nodes.
     #[must_use]
     pub fn with_wishes(mut self, wishes: &Wishes) -> Self {
         self.wishes = wishes.clone();
         self
     }
 
-    /// The wishes that this source passes to the nodes.
+    /// The subscription that this source passes to the nodes.
     #[must_use]
     pub const fn wishes(&self) -> &Wishes {
         &self.wishes

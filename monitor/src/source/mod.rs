@@ -48,7 +48,7 @@ pub enum Feed {
     },
     /// The source could not attach to a node.
     Failed {
-        /// The endpoint and the reason, as text for people.
+        /// The node's address and the reason, as text for people.
         why: String,
     },
     /// The source ends, because the node's socket is gone.
@@ -65,11 +65,11 @@ pub enum Feed {
 /// A message from a source, with the moment of its arrival.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Arrival {
-    /// The moment of arrival.
+    /// The moment at which the message arrived.
     pub at: Moment,
     /// The source that sent the message.
     pub source: SourceId,
-    /// The message.
+    /// The message that arrived.
     pub feed: Feed,
 }
 

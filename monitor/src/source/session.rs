@@ -22,7 +22,7 @@ const PROOFS: u16 = 3;
 
 /// How long a node may take to answer a hello: on a busy machine its thread for monitors runs last.
 const PATIENCE: Duration = Duration::from_secs(3);
-/// How often a waiting session checks for new wishes, and whether it must stop.
+/// How often a waiting session checks whether the subscription has changed, and whether the session must stop.
 const LOOK: Duration = Duration::from_millis(100);
 /// How many frames a node may send without new credit.
 const CREDIT: u16 = 8;
@@ -54,7 +54,7 @@ pub(super) struct Talk<'a> {
 pub(super) enum End {
     /// The monitor told the session to stop.
     Stopped,
-    /// No process listens at the endpoint.
+    /// No process listens at the node's address.
     Refused(String),
     /// The session never attached to the node.
     Failed(String),
@@ -180,7 +180,7 @@ struct Session<'a, W> {
     begun: bool,
     /// How many frames were received for which no credit was returned yet.
     owed: u16,
-    /// The versions of the wishes that were sent to the node.
+    /// The versions of the subscription that were sent to the node.
     known: (u64, u64),
     /// The node's clock at the snapshot to which the next delta applies.
     told: Option<u64>,
@@ -262,7 +262,7 @@ impl<'a, W: Write> Session<'a, W> {
         self.say(&ClientFrame::Want(want))
     }
 
-    /// Sends the wishes that have changed, and a ping when one is due.
+    /// Sends the subscription if it has changed, and a ping when one is due.
     fn keep_up(&mut self) -> Result<(), FrameError> {
         if !self.new || !self.begun {
             return Ok(());

@@ -1,4 +1,4 @@
-//! The wishes: the subscription that the screen needs. The drawing thread hands them to the connection threads without
+//! The subscription that the screen needs (its wishes). The drawing thread hands it to the connection threads without
 //! waiting.
 
 use imrs_protocol::{NodeId, PortId, TaskId};
@@ -25,7 +25,7 @@ impl Default for Wanted {
     }
 }
 
-/// The wishes of one monitor, shared by the drawing thread and the connection threads.
+/// The subscription of one monitor, shared by the drawing thread and the connection threads.
 #[derive(Clone, Debug, Default)]
 pub struct Wishes(Arc<Shared>);
 

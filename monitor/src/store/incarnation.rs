@@ -54,18 +54,18 @@ pub enum Condition {
 /// A snapshot, with the moment of its arrival.
 #[derive(Clone, Debug)]
 pub struct Sample {
-    /// The moment of arrival.
+    /// The moment at which the snapshot arrived.
     pub at: Moment,
-    /// The snapshot.
+    /// The snapshot that arrived.
     pub snapshot: Arc<Snapshot>,
 }
 
 /// A message from a node, with the moment of its arrival.
 #[derive(Clone, Debug)]
 pub struct Received<T> {
-    /// The moment of arrival.
+    /// The moment at which the message arrived.
     pub at: Moment,
-    /// The message.
+    /// The message that arrived.
     pub what: T,
 }
 
@@ -201,7 +201,7 @@ impl NodeIncarnation {
         port_of(self.task(task)?, port)
     }
 
-    /// The remaining time at `now`. It was `remaining` `age_us` before the snapshot. For a node that has ended it stays the same.
+    /// The remaining time at `now`; `age_us` before the last snapshot it was `remaining`. For an ended node it stays the same.
     #[must_use]
     pub fn left(&self, remaining: Ticks, age_us: u64, now: Moment) -> Left {
         let now = match &self.condition {

@@ -67,7 +67,7 @@ pub struct Entry {
     pub node: Name,
     /// The names that belong to the ids in the event.
     pub names: Arc<Names>,
-    /// The event.
+    /// The event that the entry is about.
     pub what: What,
     /// How often the event occurred.
     pub times: u64,

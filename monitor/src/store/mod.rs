@@ -47,7 +47,7 @@ const TROUBLES: usize = 64;
 /// The state and the events of all observed nodes.
 #[derive(Clone, Debug, Default)]
 pub struct Store {
-    /// Sorted by cell, node and incarnation.
+    /// All observed incarnations, sorted by cell, node and incarnation.
     incarnations: Vec<NodeIncarnation>,
     of_source: BTreeMap<SourceId, IncarnationId>,
     born: u32,

@@ -181,7 +181,7 @@ pub(super) fn widths(columns: &[Column], width: u16) -> Vec<u16> {
     columns.iter().map(&mut width).collect()
 }
 
-/// A bar of `width` columns that shows which part of `whole` `part` is. A part above zero fills at least one column.
+/// A bar of `width` columns that shows `part` as a share of `whole`. A part above zero fills at least one column.
 pub(super) fn bar(theme: &Theme, width: u16, part: u64, whole: u64) -> String {
     let columns = u64::from(width);
     let full = if whole == 0 {

@@ -20,7 +20,7 @@ pub(super) fn fold_sign(app: &App, row: &Row) -> &'static str {
     }
 }
 
-/// The cells of a node.
+/// Fills the table cells of a node's row.
 pub(super) fn node(app: &App, incarnation: &NodeIncarnation, row: &Row, now: Moment, cells: &mut Cells) {
     let presence = incarnation.presence(now);
     let sign = if presence.is_gone() { app.theme.glyphs.dead } else { fold_sign(app, row) };

@@ -12,7 +12,7 @@ use std::borrow::Cow;
 /// The hints at the keys of the bar, longest first.
 const KEYS: [&str; 3] = ["  [ ] step  { } trouble  Home End  space ", "  [ ] { } space ", ""];
 
-/// The ribbon that the bar draws, and the shown place on it.
+/// The data that the scrub bar draws, and the shown position on it.
 fn ribbon(app: &App, now: Moment) -> Option<(Cow<'_, Ribbon>, u64)> {
     if let Some(player) = app.replay().or(app.gone_back()) {
         let ribbon = Ribbon::of(player.film());

@@ -21,7 +21,7 @@ struct Entry {
     what: String,
 }
 
-/// A line of the screen.
+/// A line of the timer screen.
 pub(super) enum Line {
     Node(String, Ink),
     Entry(Box<[(String, Ink); 6]>, Left, Option<u64>),

@@ -12,10 +12,10 @@ use std::time::Duration;
 /// Twelve nodes with three tasks each, which have three ports each.
 pub const CROWD: Specimen = Specimen { nodes: 12, tasks: 3, ports: 3, queue_limit: 6 };
 
-/// When the last states of the crowd arrive.
+/// When the last states of the large cell arrive.
 pub const CROWD_NOW: Duration = ms(9_000);
 
-/// The state of a node of the crowd in which no message waits, so that none can be late.
+/// The state of a node of the large cell in which no message waits, so that none can be late.
 fn calm(node: u16) -> Snapshot {
     let mut state = CROWD.snapshot(node);
     for port in state.tasks.iter_mut().flat_map(|task| &mut task.view.ports) {
@@ -25,7 +25,7 @@ fn calm(node: u16) -> Snapshot {
     state
 }
 
-/// Adds the events of a tenth of a second at a node of the crowd. Its first task takes messages; nodes with higher
+/// Adds the events of a tenth of a second at a node of the large cell. Its first task takes messages; nodes with higher
 /// numbers take more.
 fn go_on(state: &mut Snapshot, node: u16, period: u64) {
     state.mono_us += 100_000;
@@ -65,7 +65,7 @@ impl Stage {
         stage
     }
 
-    /// A new incarnation of a node of the crowd.
+    /// A new incarnation of a node of the large cell.
     pub fn crowd_again(&mut self, at: Duration, node: u16, incarnation: u8) {
         let identity = NodeIdentity {
             cell: "specimen".into(),
@@ -81,7 +81,7 @@ impl Stage {
     }
 }
 
-/// Events of a node of the crowd: messages that are taken, one that expires, one that is rejected.
+/// Events of a node of the large cell: messages that are taken, one that expires, one that is rejected.
 fn happened(node: u16) -> Events {
     let own = TaskId(node * CROWD.tasks);
     let event = |n: u32| {
