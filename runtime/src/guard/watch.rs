@@ -91,7 +91,7 @@ impl Why {
 }
 
 struct Watch {
-    /// The errand that the node gave to the guard. Renewals of the lease change the errand.
+    /// What the node has told this guard to do. Renewals of the lease change it.
     errand: Errand,
     orders: Lines,
     pid: Pid,

@@ -30,7 +30,7 @@ impl Errand {
         self.lease.map_or(self.limit, |lease| lease.min(self.limit))
     }
 
-    /// The errand as arguments of the guard program.
+    /// What the guard must do, as arguments of the guard program.
     pub fn words(&self) -> Vec<OsString> {
         let mut words = vec!["--limit".into(), self.limit.to_string().into()];
         let mut add = |name: &str, value: Option<OsString>| {
@@ -50,7 +50,7 @@ impl Errand {
         words
     }
 
-    /// The errand that the arguments of the program describe; `None` if they are invalid.
+    /// Reads from the arguments of the guard program what the guard must do. `None` if the arguments are invalid.
     pub fn read(words: &[OsString]) -> Option<Self> {
         let split = words.iter().position(|word| word == "--")?;
         let (options, command) = (&words[..split], &words[split + 1..]);

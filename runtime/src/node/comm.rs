@@ -265,7 +265,7 @@ impl Comm {
 /// An answer of the machine to its task.
 #[derive(Clone, Copy, Debug)]
 pub struct Completion {
-    /// The answer.
+    /// The answer itself.
     pub signal: Signal,
     /// The instant at which the machine gave the answer.
     pub at: Micros,

@@ -97,7 +97,7 @@ pub struct Node {
     pub(crate) link_discards: [AtomicU64; LinkDiscard::NAMES.len()],
 }
 
-/// A neighbour.
+/// What a node knows about one of its neighbours.
 pub(crate) struct Peer {
     pub node: NodeId,
     pub received: AtomicU64,

@@ -68,7 +68,7 @@ pub enum StartError {
     /// The task is assigned to another node.
     #[error("task `{task}` runs on node `{node}`, not here")]
     Elsewhere {
-        /// The task.
+        /// The name of the task.
         task: String,
         /// The name of the node on which the task runs.
         node: String,

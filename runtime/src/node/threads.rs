@@ -161,7 +161,7 @@ impl Runtime {
         next.map(|next| here + Duration::from_micros(next - now))
     }
 
-    /// The node, to observe it.
+    /// The running node. Observers need it.
     #[must_use]
     pub fn node(&self) -> &Arc<Node> {
         &self.node

@@ -22,9 +22,9 @@ pub struct Results {
 /// A range of results: any value from the least to the greatest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Give {
-    /// Whole numbers; truth values are 0 and 1.
+    /// A range of whole numbers; truth values are 0 and 1.
     Whole(i32, i32),
-    /// Finite reals.
+    /// A range of finite reals.
     Real(f32, f32),
 }
 

@@ -68,9 +68,9 @@ struct Line<T>(T);
 
 /// Which input other threads leave in the inbox for a task's thread.
 pub(super) enum Leave {
-    /// All input: the thread spins.
+    /// All input, because the thread spins.
     All,
-    /// Only input that may wait: the thread runs.
+    /// Only input that may wait, because the thread runs.
     SomeOfIt,
     Nothing,
 }

@@ -191,7 +191,7 @@ impl<S> Context<S> {
         done
     }
 
-    /// Runs the handler for `call`. The communication task gave out `call` `age` ago.
+    /// Runs the handler for `call`. The communication task gave the call out, and `age` is the time since then.
     pub(super) fn interrupted(&mut self, call: Call, age: Ticks) -> Result<(), TaskError> {
         let atomic = std::mem::take(&mut self.caller.atomic);
         self.caller.depth += 1;

@@ -12,7 +12,7 @@ pub(super) enum Listener {
     Tcp(TcpListener),
 }
 
-/// A connection.
+/// The connection of a monitor.
 pub(super) enum Stream {
     Unix(UnixStream),
     Tcp(TcpStream),

@@ -90,7 +90,7 @@ impl<S> AsyncContext<S> {
         Ok(())
     }
 
-    /// Runs the handler for `call`. The communication task gave out `call` `age` ago.
+    /// Runs the handler for `call`. The communication task gave the call out, and `age` is the time since then.
     pub(super) fn interrupted(&mut self, call: Call, age: Ticks) -> Result<(), TaskError> {
         let done = match call {
             Call::Message(message) => {

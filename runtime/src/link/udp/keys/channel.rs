@@ -36,7 +36,7 @@ pub(in crate::link::udp) struct Channel {
     peer: NodeId,
     /// The neighbour's public key.
     public: [u8; KEY_BYTES],
-    /// This start of this node.
+    /// Identifies this start of this node.
     session: Session,
     digests: Digests,
     /// The key that closes datagrams of handshakes.
