@@ -121,7 +121,7 @@ impl Children {
         self.network.is_some()
     }
 
-    /// The nodes.
+    /// The nodes that this launcher runs.
     pub fn nodes(&self) -> impl Iterator<Item = NodeId> {
         self.processes.iter().map(|process| process.node)
     }

@@ -69,7 +69,7 @@ impl<'a> EventLog<'a> {
         }
     }
 
-    /// Lets the judge judge the checks up to the instant before which every node has reported everything. Each new
+    /// Lets the judge evaluate the checks up to the instant before which every node has reported everything. Each new
     /// break of a check is a fact, too.
     pub fn judge(&mut self) {
         for broken in self.judge.settle() {

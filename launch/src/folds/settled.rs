@@ -79,8 +79,8 @@ impl Settled {
     }
 }
 
-/// How many of the released members were released before another member had arrived: a member does not count as another
-/// member than itself.
+/// How many of the released members were released while another member was absent. If only one member is absent, its
+/// own release does not count.
 pub fn falsely(absent: u64, released: u64) -> u64 {
     match absent.count_ones() {
         0 => 0,

@@ -9,7 +9,7 @@ use imrs_protocol::{NodeId, TaskId};
 /// The tasks and nodes that have ended so far.
 pub struct Standing<'a> {
     loaded: &'a Loaded,
-    /// The nodes that run here.
+    /// The nodes that this launcher runs.
     here: Vec<NodeId>,
     /// Tasks whose scripts have ended by themselves.
     ended: Vec<TaskId>,
