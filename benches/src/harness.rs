@@ -60,11 +60,11 @@ impl Measured {
 /// The median of some numbers, with the least and the greatest of them.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Spread {
-    /// The median.
+    /// The median of the numbers.
     pub median: f64,
-    /// The least number.
+    /// The least of the numbers.
     pub least: f64,
-    /// The greatest number.
+    /// The greatest of the numbers.
     pub most: f64,
 }
 

@@ -37,7 +37,7 @@ impl Why {
 /// The result of a row.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// The row.
+    /// The row that was judged.
     pub row: Row,
     /// The ratios of the two cases, one for each round in which the processors had the distance that this row uses.
     /// `None` if a case was not measured, or if there was no such round.

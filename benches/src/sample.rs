@@ -5,13 +5,13 @@ use std::time::{Duration, Instant};
 /// The distribution of the measured times, in nanoseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Sample {
-    /// The median.
+    /// The median of the times.
     pub p50: f64,
-    /// The 99th percentile.
+    /// The 99th percentile of the times.
     pub p99: f64,
-    /// The 99.9th percentile.
+    /// The 99.9th percentile of the times.
     pub p999: f64,
-    /// The mean.
+    /// The mean of the times.
     pub mean: f64,
     /// A number that is not a time: bytes, allocations or sleeps. The case says what it counts.
     pub count: Option<f64>,

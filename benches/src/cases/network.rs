@@ -108,9 +108,9 @@ fn one_way_rows(suite: &mut Suite) {
 /// How the datagrams between two nodes are protected.
 #[derive(Clone, Copy)]
 pub enum Closing {
-    /// By a checksum.
+    /// A checksum protects each datagram.
     Checksum,
-    /// By keys of both nodes.
+    /// Keys of both nodes protect each datagram.
     Keys,
 }
 
