@@ -91,7 +91,7 @@ pub enum FaultError {
     Time {
         /// The text of the time.
         text: String,
-        /// Why that text is no time.
+        /// Why the text is not a time.
         error: TimeError,
     },
     /// The cell has neither a node nor a task of this name.

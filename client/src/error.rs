@@ -147,7 +147,7 @@ pub enum PlaceError {
         /// The reason, as text.
         why: String,
     },
-    /// No keys can be drawn.
+    /// The operating system does not let this program make new keys.
     #[error("no keys can be made: {0}")]
     NoNewKeys(String),
     /// There is no folder in which the incarnation can be stored.
