@@ -31,6 +31,7 @@ mod run;
 mod simulate;
 mod time;
 mod token;
+mod unit;
 mod verify;
 
 pub use imrs_client::{
@@ -139,6 +140,7 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
         Verb::Graph(args) => graph::run(&args, &mut out),
         Verb::Keygen(args) => keygen::run(&args, &mut out),
         Verb::Run(args) => run::run(&args, &mut out),
+        Verb::Unit(args) => unit::run(&args, &mut out),
         Verb::Demo(args) => demo::run(&args, &mut out),
         Verb::Monitor(args) => monitor::run(args, cli.color, &mut out),
         Verb::Replay(args) => replay::run(&args, &mut out),

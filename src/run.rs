@@ -4,6 +4,7 @@ mod drive;
 mod lines;
 mod plan;
 mod report;
+mod service;
 
 pub use drive::run as launch;
 pub use plan::{DemoPlan, Moment, Planned, plan};
@@ -14,7 +15,7 @@ use crate::failure::Failure;
 use crate::names::did_you_mean;
 use crate::output::Output;
 use imrs_client::{cell_file, keys, place};
-use imrs_launch::cells::{self, Loaded};
+use imrs_launch::cells::{self, Loaded, Source};
 use imrs_launch::{Keys, LaunchError, Run, record_file};
 use imrs_protocol::NodeId;
 use imrs_wire::files;
@@ -28,7 +29,15 @@ use std::path::{Path, PathBuf};
 /// [`Failure`].
 pub fn run(args: &RunArgs, out: &mut Output) -> Result<Exit, Failure> {
     let (source, loaded) = cells::open(&args.cell, args.paper)?;
-    let only = chosen(&loaded, &args.launch)?;
+    launch(checked(args, source, &loaded)?, &args.launch, None, out)
+}
+
+/// The run that the options ask for. Checks that they fit the cell, each other and this machine; starts nothing.
+///
+/// # Errors
+/// [`Failure`].
+pub fn checked<'a>(args: &RunArgs, source: Source, loaded: &'a Loaded) -> Result<Run<'a>, Failure> {
+    let only = chosen(loaded, &args.launch)?;
     let mut actions = BTreeMap::new();
     for bound in &args.action {
         if !loaded.actions().any(|action| action == bound.name) {
@@ -44,11 +53,11 @@ pub fn run(args: &RunArgs, out: &mut Output) -> Result<Exit, Failure> {
         actions.insert(bound.name.clone(), bound.words.clone());
     }
     let (cell, args) = (&args.cell, &args.launch);
-    let mut run = plan(source, &loaded, args, (args.length, only), None)?;
+    let mut run = plan(source, loaded, args, (args.length, only), None)?;
     if let Some(name) = args.node.as_ref().filter(|_| !args.insecure) {
         run.keys = Keys::Folder(folder_of_keys(cell, args, name)?);
     }
-    launch(Run { actions, ..run }, args, None, out)
+    Ok(Run { actions, ..run })
 }
 
 /// The folder with the keys of a node that runs on its own: the folder that the user named, else the one beside the

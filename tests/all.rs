@@ -35,4 +35,5 @@ mod tidy;
 mod transcripts;
 mod twins;
 mod two_owners;
+mod unit;
 mod verify_cell;

@@ -62,7 +62,9 @@ pub struct Launcher<'a> {
     /// The fault that waits for an action to begin, and how often that action has begun so far.
     moment: Option<(Moment, usize)>,
     started: Instant,
-    /// Whether the event log already has the fact that the only tasks that still run serve for ever.
+    /// When each running node last sent a message.
+    heard: BTreeMap<NodeId, Instant>,
+    /// Whether the launcher has already put into the event log that only tasks are left that serve for ever.
     idle_told: bool,
     interrupts: Interrupts,
     /// The earlier limit for the nodes to become ready, which the first Ctrl-C sets.
@@ -113,12 +115,14 @@ impl<'a> Launcher<'a> {
             faults: run.faults.clone(),
             moment: run.moment.clone().map(|moment| (moment, 0)),
             started: Instant::now(),
+            heard: BTreeMap::new(),
             idle_told: false,
             interrupts,
             ready_by: None,
         };
         launcher.make_ready()?;
         launcher.started = Instant::now();
+        launcher.heard = launcher.children.nodes().map(|node| (node, launcher.started)).collect();
         Ok(launcher)
     }
 
@@ -223,6 +227,13 @@ impl<'a> Launcher<'a> {
     #[must_use]
     pub fn elapsed(&self) -> Duration {
         self.started.elapsed()
+    }
+
+    /// For how long the most silent of the running nodes has sent no message. A node that works sends its counters five times
+    /// a second.
+    #[must_use]
+    pub fn silent_for(&self) -> Duration {
+        self.heard.values().map(Instant::elapsed).max().unwrap_or_default()
     }
 
     /// How many rounds have released all members so far; `None` in a cell without waitfors.

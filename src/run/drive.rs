@@ -3,6 +3,7 @@
 use super::lines::show;
 use super::plan::DemoPlan;
 use super::report;
+use super::service::Service;
 use crate::args::{Format, LaunchArgs};
 use crate::exit::Exit;
 use crate::failure::Failure;
@@ -47,8 +48,11 @@ pub fn run(
     run.observe_token = args.observe_token.as_deref().map(crate::token::read).transpose()?;
 
     let mut launcher = Launcher::start(&run, &NodeProgram)?;
-    // If following the run fails, its nodes are nevertheless stopped in order and its summary is shown.
-    let followed = announce(&run, args, demo, &launcher, out).and_then(|()| follow(&run, &mut launcher, out));
+    // Even if following the run fails, its nodes are stopped in order and its summary is shown.
+    let mut service = Service::ready(&run, &launcher);
+    let followed = announce(&run, args, demo, &launcher, out)
+        .and_then(|()| follow(&run, &mut launcher, &mut service, out));
+    service.stopping();
     let interrupts = launcher.interrupts();
     let mut ended = launcher.finish();
     if let Some(demo) = demo {
@@ -118,14 +122,24 @@ fn announce(
     }
 }
 
-/// Follows the run until its end, and shows every pending line, also if following the run fails.
-fn follow(run: &Run<'_>, launcher: &mut Launcher<'_>, out: &mut Output) -> Result<(), Failure> {
-    let followed = follow_until_the_end(run, launcher, out);
+/// Follows the run until its end. Shows every pending line, however the run ends.
+fn follow(
+    run: &Run<'_>,
+    launcher: &mut Launcher<'_>,
+    service: &mut Service,
+    out: &mut Output,
+) -> Result<(), Failure> {
+    let followed = follow_until_the_end(run, launcher, service, out);
     out.progress(None);
     followed.and(show(&launcher.last_lines(), run, out))
 }
 
-fn follow_until_the_end(run: &Run<'_>, launcher: &mut Launcher<'_>, out: &mut Output) -> Result<(), Failure> {
+fn follow_until_the_end(
+    run: &Run<'_>,
+    launcher: &mut Launcher<'_>,
+    service: &mut Service,
+    out: &mut Output,
+) -> Result<(), Failure> {
     let of = run.length.map(|all| format!(" of {}", humantime::format_duration(all))).unwrap_or_default();
     let mut progress_at = Instant::now();
     while launcher.advance()? {
@@ -138,6 +152,7 @@ fn follow_until_the_end(run: &Run<'_>, launcher: &mut Launcher<'_>, out: &mut Ou
             out.progress(Some(&format!("{} s{of}{met}", launcher.elapsed().as_secs())));
             progress_at = Instant::now() + PROGRESS_EVERY;
         }
+        service.ping(launcher.silent_for());
         let show_at = shows.then(|| Instant::now() + SHOW_EVERY);
         launcher.wait(show_at.map_or(progress_at, |at| at.min(progress_at)));
     }

@@ -134,6 +134,7 @@ impl Launcher<'_> {
     pub(super) fn take(&mut self, message: Message) {
         match message {
             Message::Said(node, word) => {
+                self.heard.insert(node, Instant::now());
                 match &word {
                     // The node was restarted: all other nodes get its address, and it gets the addresses of all nodes.
                     Word::Bound { address: Some(address), observe } => {
@@ -159,6 +160,7 @@ impl Launcher<'_> {
                     self.log.note(now_us(), &Fact::Died(node));
                 }
                 if self.children.incarnation(node) == incarnation {
+                    self.heard.remove(&node);
                     // The judge must first get the notices that the node wrote about its commands before it died.
                     self.hear_of_commands();
                     self.log.note(now_us(), &Fact::Gone(node));
