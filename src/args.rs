@@ -7,6 +7,7 @@ mod keygen;
 mod monitor;
 mod run;
 mod simulate;
+mod unit;
 mod verify;
 
 pub use bench::BenchArgs;
@@ -16,6 +17,7 @@ pub use keygen::KeygenArgs;
 pub use monitor::MonitorArgs;
 pub use run::{DemoArgs, LaunchArgs, ReplayArgs, RunArgs};
 pub use simulate::{STEPS, SimulateArgs};
+pub use unit::UnitArgs;
 pub use verify::{CellFaultArgs, Times, VerifyArgs, VerifyVerb};
 
 use crate::output::Color;
@@ -194,6 +196,21 @@ Examples:
   imrs run cell.cell --action 'grip=./grip --hard'    a robot's own command
   imrs run cell.cell --record run.imrs                to `imrs replay run.NODE.imrs --cell cell.cell`")]
     Run(RunArgs),
+    /// Print a systemd unit that runs one node of a cell, and starts it again after a failure or a reboot.
+    ///
+    /// The unit runs this program with `run CELL --node NAME` and the options behind `--`, as the user `imrs` or the one that
+    /// --user names. `imrs run` reports to systemd when its node is up, and then pings it: if the node is silent for 3 s, systemd
+    /// starts it again, in its next incarnation. A stop lets the node end its tasks in order. What the node must remember is in
+    /// /var/lib/imrs, and the sockets for monitors are in /run/imrs.
+    ///
+    /// The cell, the options and the keys are checked as `imrs run` checks them, so print the unit on the machine of the node.
+    #[command(after_help = "\
+Examples:
+  imrs unit /etc/imrs/line.cell --node feeding
+  imrs unit line.cell --node feeding --user robot -- --rt --action 'pick=./pick --gently'
+  imrs unit line.cell --node feeding | sudo tee /etc/systemd/system/imrs-line-feeding.service
+  sudo systemctl daemon-reload && sudo systemctl enable --now imrs-line-feeding")]
+    Unit(UnitArgs),
     /// Run a built-in cell with a fault, one process per node over loopback UDP, and explain what happened.
     ///
     /// Every demo brings a fault of its own, at the moment when it hurts. It ends with the outcome, in words, and
@@ -278,7 +295,8 @@ Examples:
     Node,
 }
 
-/// The most threads of `--jobs`: with more than a machine has, nothing is faster, and each takes memory.
+/// The greatest number of threads of `--jobs`: more threads than the machine has cores make nothing faster, and each
+/// takes memory.
 const MOST_JOBS: i64 = 256;
 
 /// The form of an answer.
@@ -291,7 +309,7 @@ pub enum Format {
     Json,
 }
 
-/// What `--color` says, before anything is parsed: help and usage errors obey it too.
+/// The value of `--color`, read before anything is parsed, because help and usage errors follow it, too.
 pub fn early_color(args: impl IntoIterator<Item = String>) -> ColorChoice {
     let mut args = args.into_iter();
     let mut word = None;

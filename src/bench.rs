@@ -1,11 +1,11 @@
-//! `imrs bench`: runs the measurements that compare with no other library. The default build leaves them out.
+//! `imrs bench`: runs the measurements that do not compare with other libraries. The default build leaves them out.
 
 use crate::args::BenchArgs;
 use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::output::Output;
 
-/// Measures, and prints the results.
+/// Runs the measurements, and prints the results.
 #[cfg(feature = "bench")]
 pub fn run(args: &BenchArgs, out: &mut Output) -> Result<Exit, Failure> {
     Ok(match imrs_bench::run(args, &mut |text: &str| out.text(text))? {
@@ -14,7 +14,7 @@ pub fn run(args: &BenchArgs, out: &mut Output) -> Result<Exit, Failure> {
     })
 }
 
-/// Says how to get a build that measures.
+/// Says how to get a build that contains the measurements.
 #[cfg(not(feature = "bench"))]
 pub fn run(args: &BenchArgs, _out: &mut Output) -> Result<Exit, Failure> {
     let command = [&["bench".to_owned()][..], &args.args].concat().join(" ");

@@ -9,7 +9,7 @@ use std::io::{self, Write};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-/// A cell file cannot be written.
+/// The error that a cell file cannot be written.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: cannot be written: {source}", path.display())]
 pub struct Unwritable {
@@ -17,8 +17,8 @@ pub struct Unwritable {
     source: io::Error,
 }
 
-/// Replaces the text of a file atomically: writes a new file beside it, syncs it, and renames it. If that fails, the file stays
-/// as it was.
+/// Replaces the text of a file atomically: writes a new file in the same folder, syncs it, and renames it. If that
+/// fails, the old file stays.
 ///
 /// # Errors
 /// [`Unwritable`].
@@ -27,7 +27,7 @@ pub fn replace(path: &Path, text: &str) -> Result<(), Unwritable> {
 }
 
 fn replaced(path: &Path, text: &str) -> io::Result<()> {
-    // If the path is a symbolic link, its target is replaced, and the link stays.
+    // If the path is a symbolic link, the file to which it leads is replaced, and the link stays.
     let path = fs::canonicalize(path)?;
     access(&path, Access::WRITE_OK)?;
     let old = fs::metadata(&path)?;

@@ -1,4 +1,4 @@
-//! `imrs check`: compiles a cell file and shows the diagnostics.
+//! `imrs check`: compiles a cell file and shows the compiler's diagnostics.
 
 use crate::args::{CheckArgs, Format};
 use crate::cell_file::{read, shown};
@@ -9,18 +9,18 @@ use imrs_language::render::{self, Located};
 use imrs_language::{Compiled, Diagnostic, Options, Severity, Source, compile_with};
 use serde::Serialize;
 
-/// The JSON answer.
+/// The answer of `imrs check --format json`.
 #[derive(Debug, Serialize)]
 struct Checked<'a> {
     version: u32,
-    /// The name of the cell; none if the file has errors.
+    /// The name of the cell; `None` if the file has errors.
     cell: Option<&'a str>,
     file: &'a str,
     errors: usize,
     warnings: usize,
     notes: usize,
     diagnostics: Vec<Located<'a>>,
-    /// A sentence about what was not checked because of errors; none if everything was checked.
+    /// A sentence about what was not checked because of errors; `None` if everything was checked.
     unchecked: Option<&'a str>,
 }
 
@@ -45,7 +45,7 @@ pub fn run(args: &CheckArgs, out: &mut Output) -> Result<Exit, Failure> {
     Ok(if of(found, Severity::Error) == 0 { Exit::Well } else { turned_down(found) })
 }
 
-/// Prints the JSON answer. Other verbs use it, too, if a cell does not compile.
+/// Prints the answer as JSON. Other verbs use this, too, if a cell does not compile.
 ///
 /// # Errors
 /// [`Failure::Output`].

@@ -1,10 +1,10 @@
-//! Prints the verdicts on the checks of a cell.
+//! Prints the verdicts on the checks that a cell declares.
 
 use crate::failure::Failure;
 use crate::output::{BAD, GOOD, NOTE, Output, Styled};
 use imrs_launch::checks::{Outcome, Settlement};
 
-/// Prints one line per check.
+/// Prints one line for each check.
 ///
 /// # Errors
 /// [`Failure::Output`].

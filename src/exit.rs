@@ -7,10 +7,10 @@ use std::error::Error;
 use std::io;
 use std::process::ExitCode;
 
-/// The exit codes of every verb.
+/// The exit codes of all verbs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Exit {
-    /// Everything is as it should be.
+    /// Everything is as it should be: there is no finding.
     Well = 0,
     /// A finding: a claim did not come out as expected, or a run broke a promise.
     Finding = 1,
@@ -61,9 +61,9 @@ pub(crate) const EXHAUSTED: [i32; 4] = [
     Errno::AGAIN.raw_os_error(),
 ];
 
-/// Whether a panic message says that the operating system has run out of one of these resources, in one of the two
-/// forms of an [`io::Error`]. Libraries may panic on such an error, as the standard library does when a new thread gets
-/// no memory for its signal stack.
+/// Whether a panic message says that the operating system has run out of one of the resources of `EXHAUSTED`, in one of
+/// the two forms of an [`io::Error`]. Libraries may panic on such an error, as the standard library does when a new
+/// thread gets no memory for its signal stack.
 pub fn says_exhausted(panic: &str) -> bool {
     let says = |code| {
         [format!("Os {{ code: {code},"), format!("(os error {code})")].map(|form| panic.contains(&form))

@@ -11,7 +11,7 @@ use imrs_language::{Word, codes};
 use imrs_monitor::store::health::codes as lints;
 use serde_json::json;
 
-/// A code and the page that explains it.
+/// A code, and the page that explains it.
 #[derive(Clone, Copy)]
 struct Entry {
     code: &'static str,
@@ -19,7 +19,7 @@ struct Entry {
     explanation: &'static str,
 }
 
-/// All entries: those of `imrs check`, then those of `imrs monitor`, then the reasons for which a message is dropped.
+/// All entries: the codes of `imrs check`, then the codes of `imrs monitor`, then the reasons for which a message is dropped.
 fn entries() -> impl Iterator<Item = Entry> {
     let diagnostics =
         codes::ALL.iter().map(|of| Entry { code: of.code, title: of.title, explanation: of.explanation });
@@ -28,7 +28,7 @@ fn entries() -> impl Iterator<Item = Entry> {
     diagnostics.chain(lints).chain(reasons::ALL.iter().copied())
 }
 
-/// Explains one code, or lists all.
+/// Explains one code, or lists all codes.
 ///
 /// # Errors
 /// [`Failure`].

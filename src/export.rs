@@ -13,7 +13,7 @@ use std::io::{BufWriter, Cursor, Write};
 use std::path::Path;
 use std::sync::Arc;
 
-/// Exports a recording.
+/// Exports a recording to the form that the user chose.
 ///
 /// # Errors
 /// [`Failure`].

@@ -7,7 +7,7 @@ use std::io;
 /// Why the command cannot do what was asked.
 #[derive(Debug, thiserror::Error)]
 pub enum Failure {
-    /// An argument names something that does not exist, or does not fit the others.
+    /// An argument names something that does not exist, or contradicts another argument.
     #[error("{0}")]
     Usage(String),
     /// A cell file cannot be read.
@@ -47,9 +47,9 @@ pub enum Failure {
 }
 
 impl Failure {
-    /// The exit code to which the error leads.
+    /// The exit code for this error.
     pub fn exit(&self) -> Exit {
-        // On a non-blocking stream this error code means a slow reader. The system has not run out of anything.
+        // On a non-blocking stream this error means that the reader is slow, not that the system has run out of a resource.
         if matches!(self, Self::Output(error) if error.kind() == io::ErrorKind::WouldBlock) {
             return Exit::Usage;
         }
@@ -82,11 +82,11 @@ impl Failure {
     }
 }
 
-/// The exit code that the error of a node leads to.
+/// The exit code for an error of a node.
 pub fn exit_of_node(error: &NodeError) -> Exit {
     match error {
         _ if is_exhausted(error) => Exit::System,
-        // This machine cannot provide something that the command line asked for.
+        // This machine cannot provide a thing for which the command line asked.
         NodeError::Link(_) | NodeError::Place(_) | NodeError::Record(_) | NodeError::Observe(_) => {
             Exit::Usage
         }

@@ -91,7 +91,7 @@ pub enum FaultError {
     Time {
         /// The text of the time.
         text: String,
-        /// Why that text is no time.
+        /// Why the text is not a time.
         error: TimeError,
     },
     /// The cell has neither a node nor a task of this name.
@@ -108,7 +108,7 @@ pub enum FaultError {
     /// A node that should be restarted is not killed before.
     #[error("`{0}` is not killed before it is started again: add --kill {1}@TIME")]
     NotKilled(String, String),
-    /// The fault concerns nodes that this run does not start.
+    /// The fault concerns nodes that this launcher does not start.
     #[error("`{0}` is not run here: --node runs one node only")]
     NotHere(String),
     /// The fault comes after the end of the run.
@@ -191,8 +191,8 @@ pub struct Wanted<'a> {
 /// All faults of a run, by time since the start.
 ///
 /// # Errors
-/// A name that the cell does not have, two nodes without a link, a restart of a node that runs, or a time past the end
-/// of the run.
+/// An error for a name that the cell does not have, two nodes without a link, a restart of a node that runs, or a time
+/// past the end of the run.
 pub fn schedule(
     cell: &Cell,
     length: Duration,
@@ -235,7 +235,7 @@ pub fn schedule(
     Ok(faults)
 }
 
-/// Checks that all faults concern this node.
+/// Checks that all faults concern the only node that this launcher runs.
 ///
 /// # Errors
 /// [`FaultError::NotHere`].
@@ -285,7 +285,7 @@ mod tests {
         for text in ["", "%", "x", "-1%", "101%", "2.0", "NaN", "inf"] {
             assert_eq!(text.parse::<Rate>(), Err(FaultError::Rate), "{text}");
         }
-        // `imrs verify` takes a number of packets. As a share, 1 would lose every packet.
+        // `imrs verify` takes a number of packets. If `1` were read as a share here, every packet would be lost.
         assert_eq!("1".parse::<Rate>(), Err(FaultError::Packets(1)));
         assert_eq!(Rate(0.07).to_string(), "7%");
         assert_eq!(Rate(0.125).to_string(), "12.5%");

@@ -8,7 +8,7 @@ use crate::output::{Output, complain, complain_in_full};
 use imrs_language::{format, render};
 use std::path::Path;
 
-/// Most lines of a difference that are shown on each side.
+/// How many lines of a difference are shown of the old and of the new text, at most.
 const SHOWN: usize = 8;
 
 /// Formats cell files. A file that cannot be read or has errors does not stop the others from being formatted.

@@ -9,7 +9,7 @@ use std::io::{self, Write};
 use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 
-/// Why a file cannot be written.
+/// Why a file cannot be written: it exists already, or the operating system refuses.
 #[derive(Debug, thiserror::Error)]
 pub enum KeptError {
     /// The file exists already.
@@ -50,7 +50,7 @@ pub fn check(path: &Path, force: bool) -> Result<(), KeptError> {
     files::check(path, force).map_err(KeptError::of(path))
 }
 
-/// Whether a path can be written, as far as can be known before there is data.
+/// Whether a path can be written, as far as this is known before there is data.
 fn writable(path: &Path) -> io::Result<()> {
     let target = match fs::metadata(path) {
         Ok(of) if of.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
@@ -77,14 +77,14 @@ fn create(path: &Path, force: bool) -> Result<File, KeptError> {
 /// it is. If `write` fails, no partial file remains.
 ///
 /// # Errors
-/// [`KeptError`], or that of `write`.
+/// [`KeptError`], or the error of `write`.
 pub fn keep_or<T, E: From<KeptError>>(
     path: &Path,
     force: bool,
     write: impl FnOnce(File) -> Result<T, E>,
 ) -> Result<T, E> {
     let unwritable = KeptError::unwritable(path);
-    // A device is written directly: it cannot be replaced.
+    // A device is written directly, because it cannot be replaced.
     if fs::metadata(path).is_ok_and(|of| !of.is_file()) {
         return write(create(path, force)?);
     }
@@ -115,8 +115,8 @@ pub fn keep_text(path: &Path, force: bool, text: &str) -> Result<(), KeptError> 
     keep(path, force, |mut file| file.write_all(text.as_bytes()))
 }
 
-/// The message that a named file was not written, and why. If an older file with that name exists, also warns that it
-/// is not the answer.
+/// The message that the named file was not written, and why. If an older file of that name exists, the message also
+/// warns that it is not the answer.
 pub fn nothing_kept(path: &Path, why: &str) -> String {
     let is_old = path.symlink_metadata().is_ok_and(|of| of.is_file());
     let old = if is_old { "; what is there is of an earlier run" } else { "" };

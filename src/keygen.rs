@@ -1,4 +1,4 @@
-//! `imrs keygen`: draws the keys with which the nodes of a cell close their datagrams.
+//! `imrs keygen`: draws the keys with which the nodes of a cell encrypt and authenticate their datagrams.
 
 use crate::args::KeygenArgs;
 use crate::exit::Exit;
@@ -17,7 +17,7 @@ const IGNORE: &str = ".gitignore";
 /// Draws keys for each node of a cell, and writes one file for each.
 ///
 /// # Errors
-/// [`Failure`]; an existing file is one, without `--force`.
+/// [`Failure`]. Without `--force`, an existing file is an error.
 pub fn run(args: &KeygenArgs, out: &mut Output) -> Result<Exit, Failure> {
     let (_, loaded) = cells::open(&args.cell, false)?;
     let folder = folder_of(args)?;
@@ -28,7 +28,7 @@ pub fn run(args: &KeygenArgs, out: &mut Output) -> Result<Exit, Failure> {
     let drawn = keys::draw(&loaded).map_err(LaunchError::from)?;
     let nodes = loaded.table.cell().nodes.iter();
     let files: Vec<PathBuf> = nodes.map(|node| keys::file_of(&folder, &node.name)).collect();
-    // Keys of two draws do not fit each other, so all files are checked before one is written.
+    // Keys of two draws do not work together, so all files are checked before any file is written.
     for path in &files {
         kept::check(path, args.force)?;
     }

@@ -1,9 +1,9 @@
 //! The `imrs` command: it reads the command line, calls the crate that has the answer, and prints the answer.
 //!
-//! A robot's program does not link this package: it would bring the model checker and the terminal monitor along. It links
-//! [`imrs_client`], whose front page is for its author, to run nodes of a cell file; or `imrs-runtime` and `imrs-macros`, to have
-//! its cell compiled in. All of `imrs_client` that a program uses is re-exported here: `imrs::Program` is
-//! [`imrs_client::Program`].
+//! A robot's program does not link this package, which brings the model checker and the terminal monitor along. To run
+//! nodes of a cell file, it links [`imrs_client`], whose front page is for the author of such a program. To have its
+//! cell compiled in, it links `imrs-runtime` and `imrs-macros`. All of `imrs_client` that a program uses is re-exported
+//! here: `imrs::Program` is [`imrs_client::Program`].
 #![forbid(unsafe_code)]
 
 mod args;
@@ -31,6 +31,7 @@ mod run;
 mod simulate;
 mod time;
 mod token;
+mod unit;
 mod verify;
 
 pub use imrs_client::{
@@ -49,7 +50,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-/// Runs the `imrs` command of this process's command line. Returns its exit code.
+/// Runs the `imrs` command with the command line of this process. Returns its exit code.
 #[doc(hidden)]
 #[must_use]
 pub fn command() -> ExitCode {
@@ -81,8 +82,9 @@ fn panic_text(panic: &(dyn Any + Send)) -> Option<&str> {
     panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied())
 }
 
-/// Gives an abort for lack of memory an exit code of its own, because the standard library then only reports the lack and
-/// aborts. While `sound` is false, something has panicked for another cause, and an abort remains a fault of this program.
+/// Gives an abort for lack of memory an exit code of its own. For lack of memory, the standard library only prints a
+/// message and aborts. While `sound` is false, a thread has panicked for another reason, and an abort counts as a fault
+/// of this program.
 fn end_without_memory(sound: Arc<AtomicBool>) {
     // If the handler cannot be registered, an abort ends the process by its signal, as usual.
     let _ = signal_hook::flag::register_conditional_shutdown(SIGABRT, Exit::System as i32, sound);
@@ -100,8 +102,8 @@ fn answer() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => {
             if error.use_stderr() {
-                // The message quotes the arguments, which may contain terminal escapes: `complain_in_full` makes them
-                // harmless.
+                // The message quotes the arguments, which may contain terminal escapes. `complain_in_full` makes the
+                // escapes harmless.
                 let color = match early_color(arguments()) {
                     ColorChoice::Always => Color::Always,
                     ColorChoice::Never => Color::Never,
@@ -138,6 +140,7 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
         Verb::Graph(args) => graph::run(&args, &mut out),
         Verb::Keygen(args) => keygen::run(&args, &mut out),
         Verb::Run(args) => run::run(&args, &mut out),
+        Verb::Unit(args) => unit::run(&args, &mut out),
         Verb::Demo(args) => demo::run(&args, &mut out),
         Verb::Monitor(args) => monitor::run(args, cli.color, &mut out),
         Verb::Replay(args) => replay::run(&args, &mut out),

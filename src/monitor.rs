@@ -22,11 +22,11 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Time limit for the nodes of `--demo` to appear.
+/// How long the nodes of `--demo` may take to appear.
 const READY_WITHIN: Duration = Duration::from_secs(20);
 /// The niceness of the thread that judges recordings, so that nodes run before it.
 const LEAST_PRIORITY: i32 = 19;
-/// Time limit for the nodes of `--demo` to stop.
+/// How long the nodes of `--demo` may take to stop.
 const STOP_WITHIN: Duration = Duration::from_secs(5);
 
 /// Runs the monitor.
@@ -106,7 +106,7 @@ fn options(
     })
 }
 
-/// The judge of the recordings of nodes, which replays them: with the cell of this file, or with the cells of the demos.
+/// Makes the judge that replays recordings of nodes: with the cell of this file, or with the cells of the demos.
 fn validator(cell: Option<&Path>) -> Result<Arc<dyn Judge>, Failure> {
     let known = match cell {
         Some(path) => vec![cells::open(path, false)?.1],
@@ -125,36 +125,36 @@ impl fmt::Debug for Validator {
 
 impl Judge for Validator {
     fn sit(&self) -> Box<dyn FollowSession + '_> {
-        // This sets the priority of the judging thread alone. Even if it is far behind, it must not take a core from the
-        // nodes.
+        // This sets the priority of the judging thread alone. That thread must not take a core from the nodes, even if
+        // it is far behind.
         let _ = setpriority_process(None, LEAST_PRIORITY);
         Box::new(self.0.follow())
     }
 }
 
 /// The nodes of `--demo`: arms, a hoist, a camera and a press. The press gets more parts than it can take and rejects
-/// questions, packets are lost, and one node after another is killed and restarted. So each screen has something to show
-/// within ten seconds. The nodes use a folder of their own, and stop when this value is dropped.
+/// questions, packets are lost, and one node after another is killed and restarted. So each screen of the monitor has
+/// something to show within ten seconds. The nodes use a folder of their own, and stop when this value is dropped.
 struct Stage {
     nodes: Child,
     folder: PathBuf,
 }
 
-/// The cell of these nodes.
+/// The text of the cell of the monitored nodes.
 const CELL: &str = include_str!("demo/assembly.cell");
-/// The number of its nodes.
+/// The number of nodes in the monitored cell.
 const NODES: usize = 5;
-/// The file name of the cell in their folder.
+/// The name of the cell file in the folder of the monitored nodes.
 const FILE: &str = "assembly.cell";
-/// The tasks whose nodes are killed, in turn.
+/// The tasks whose nodes are killed, one after the other.
 const MORTALS: [&str; 3] = ["hoist", "vision", "armL"];
-/// How many of the packets are lost.
+/// The share of the packets that are lost.
 const LOSS: &str = "8%";
-/// The time of the first kill, the time between kills, and how long each node stays down: long enough for the others to give up
-/// and wait again.
+/// The time of the first kill, the time between kills, and how long each node stays dead: long enough for the other
+/// tasks to give up and wait again.
 const FAULTS: (Duration, Duration, Duration) =
     (Duration::from_secs(4), Duration::from_secs(20), Duration::from_secs(12));
-/// The number of kills.
+/// The number of kills in a run.
 const DEATHS: u32 = 90;
 
 impl Stage {
@@ -175,7 +175,7 @@ impl Stage {
             command.args(["--kill", &format!("{who}@{dies}s")]);
             command.args(["--restart", &format!("{who}@{}s", dies + away.as_secs())]);
         }
-        // Recordings let the monitor judge whether the nodes conform to the verified machine.
+        // With recordings, the monitor can judge whether the nodes conform to the verified state machine.
         command.arg("--record").arg(folder.join("assembly"));
         command.env("XDG_RUNTIME_DIR", &folder).env("XDG_STATE_HOME", &folder);
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
@@ -207,7 +207,7 @@ impl Stage {
 impl Drop for Stage {
     fn drop(&mut self) {
         if let Some(pid) = i32::try_from(self.nodes.id()).ok().and_then(Pid::from_raw) {
-            // If this fails, the launcher has already ended.
+            // If this fails, the launcher of the nodes has already ended.
             let _ = kill_process(pid, Signal::TERM);
         }
         let end = Instant::now() + STOP_WITHIN;

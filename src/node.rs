@@ -1,4 +1,4 @@
-//! The command in its role as the program that launches nodes, and that runs as one.
+//! This program in the two roles that the launcher needs: it launches nodes, and it runs as a node.
 
 use crate::exit::Exit;
 use crate::failure::exit_of_node;
@@ -8,7 +8,7 @@ use indicatif::ProgressBar;
 use std::fmt::Display;
 use std::io;
 
-/// This program, for the launcher: it launches nodes, and `imrs node` runs one.
+/// This program, as the launcher sees it: it launches nodes, and `imrs node` runs one node.
 pub struct NodeProgram;
 
 impl Host for NodeProgram {

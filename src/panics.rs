@@ -1,4 +1,4 @@
-//! The panic hook: the first panic of a thread at a line is printed as usual, and later ones are counted.
+//! The panic hook. For each thread name and source line, the first panic is printed as usual, and later panics are counted.
 //!
 //! The checker catches panics of the state machine and reports them as findings. The runtime reports a task that panics as
 //! crashed. While a finding is shrunk, the same line may panic in thousands of runs.
@@ -11,7 +11,7 @@ use std::panic::PanicHookInfo;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Where a panic happened: the name of its thread, and the source line.
+/// Where a panic happened: the name of its thread, and the line in the sources.
 type Place = (Option<String>, Option<String>);
 
 /// The panics of this process.
@@ -26,7 +26,8 @@ pub fn report() -> Arc<Panics> {
     let panics = Arc::new(Panics { sound: Arc::new(AtomicBool::new(true)), counts: Mutex::default() });
     let (default, own) = (std::panic::take_hook(), Arc::clone(&panics));
     std::panic::set_hook(Box::new(move |panic| {
-        // A panic for lack of resources leaves `sound` true, because printing that panic may abort for the same lack.
+        // A panic for lack of resources leaves `sound` true, because printing that panic may abort the process for the
+        // same lack.
         if !panic.payload_as_str().is_some_and(says_exhausted) {
             own.sound.store(false, Ordering::SeqCst);
         }
@@ -58,12 +59,12 @@ fn again((thread, line): &Place, times: u64) -> String {
 }
 
 impl Panics {
-    /// A flag that is true until something panics for another cause than a lack of resources.
+    /// A flag that is true until a thread panics for another reason than a lack of resources.
     pub fn sound(&self) -> Arc<AtomicBool> {
         Arc::clone(&self.sound)
     }
 
-    /// The total count of each place whose last printed count is out of date.
+    /// The total count of each place at which more panics happened than were printed.
     pub fn untold(&self) -> Vec<String> {
         let counts = self.counts();
         let untold = counts.iter().filter(|(_, times)| !times.is_power_of_two());
@@ -99,8 +100,8 @@ mod tests {
         assert!(main.join().expect("the panic was caught"));
     }
 
-    /// The body of a child process that another test starts: a thread of one name panics five times at one line, a thread of
-    /// another name once.
+    /// The body of a child process that another test starts. A thread of one name panics five times at one line, and a
+    /// thread of another name panics once.
     #[test]
     fn panics_again_and_again() {
         if std::env::var_os("IMRS_PANICS").is_none() {
@@ -115,8 +116,8 @@ mod tests {
         eprintln!("untold: {:?}", panics.untold());
     }
 
-    /// The body of a child process that another test starts: it panics, then aborts, as when memory runs out while a panic
-    /// is printed.
+    /// The body of a child process that another test starts. It panics, then aborts, as a process does that runs out of
+    /// memory while it prints a panic.
     #[test]
     fn a_panic_that_cannot_be_written_down() {
         let Ok(says) = std::env::var("IMRS_PANICS_OF") else { return };
@@ -147,7 +148,7 @@ mod tests {
         let all = |word: &str| said.matches(word).count();
         assert_eq!((all("no part"), all("thread 'dress'")), (4, 1), "{said}");
         for (times, is_said) in [(2, 1), (3, 0), (4, 1), (5, 1)] {
-            // The expected last count is printed by `untold`, not by the hook.
+            // The last count that is expected here is printed by `untold`, not by the hook.
             let pieces = said.lines().flat_map(|line| line.split('"'));
             let pieces = pieces.map(|piece| piece.trim_end_matches(", this time with: no part"));
             let told = pieces.filter(|piece| {

@@ -37,9 +37,9 @@ struct Replayed {
     node: String,
     build: String,
     insecure: bool,
-    /// Whether the file has its end marker.
+    /// Whether the recording has its end record.
     whole: bool,
-    /// Whether the file has its end marker, and every step could be judged.
+    /// Whether the recording has its end record, and every step could be judged.
     complete: bool,
     tasks: Vec<Task>,
 }
@@ -48,15 +48,15 @@ struct Replayed {
 #[derive(Debug, Serialize)]
 struct Task {
     name: String,
-    /// Steps that gave the same outputs as in the recording.
+    /// How many steps gave the same outputs as in the recording.
     steps: usize,
-    /// Recorded steps that could not be judged, because the state before them is not known.
+    /// How many recorded steps could not be judged, because the state before them is not known.
     unjudged: usize,
-    /// Inputs that were not recorded.
+    /// How many inputs were not recorded.
     lost: u64,
-    /// `same`, `unknown` (something is missing) or `differs`.
+    /// `same`, `unknown` (a part of the recording is missing) or `differs`.
     verdict: &'static str,
-    /// A text about the first step whose outputs differ, if one does.
+    /// A text about the first step whose outputs differ; `None` if there is no such step.
     divergence: Option<String>,
 }
 
@@ -67,7 +67,7 @@ impl Task {
     }
 }
 
-/// Replays recordings.
+/// Replays the recordings that the user named.
 ///
 /// # Errors
 /// [`Failure`].
@@ -95,7 +95,7 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
     Ok(exit)
 }
 
-/// A recording of a node of a known cell.
+/// A recording of a node, and the known cell to which it belongs.
 struct Opened<'a> {
     reader: RecordingReader<File>,
     header: Header,
@@ -172,7 +172,7 @@ fn read(path: &Path, known: &[Loaded], given: Option<&str>) -> Result<Replayed, 
     })
 }
 
-/// How a task of this name differs from its recording, in words; none if it does not.
+/// A text about how a task of this name differs from its recording; `None` if it does not differ.
 fn divergence(verdict: Verdict, name: &str) -> Option<String> {
     match verdict {
         Verdict::Differs(Divergence { index, .. }) => {

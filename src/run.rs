@@ -4,6 +4,7 @@ mod drive;
 mod lines;
 mod plan;
 mod report;
+mod service;
 
 pub use drive::run as launch;
 pub use plan::{DemoPlan, Moment, Planned, plan};
@@ -14,7 +15,7 @@ use crate::failure::Failure;
 use crate::names::did_you_mean;
 use crate::output::Output;
 use imrs_client::{cell_file, keys, place};
-use imrs_launch::cells::{self, Loaded};
+use imrs_launch::cells::{self, Loaded, Source};
 use imrs_launch::{Keys, LaunchError, Run, record_file};
 use imrs_protocol::NodeId;
 use imrs_wire::files;
@@ -22,13 +23,21 @@ use std::collections::BTreeMap;
 use std::env;
 use std::path::{Path, PathBuf};
 
-/// Runs a cell.
+/// Runs a cell until the run ends.
 ///
 /// # Errors
 /// [`Failure`].
 pub fn run(args: &RunArgs, out: &mut Output) -> Result<Exit, Failure> {
     let (source, loaded) = cells::open(&args.cell, args.paper)?;
-    let only = chosen(&loaded, &args.launch)?;
+    launch(checked(args, source, &loaded)?, &args.launch, None, out)
+}
+
+/// The run that the options ask for. Checks that they fit the cell, each other and this machine; starts nothing.
+///
+/// # Errors
+/// [`Failure`].
+pub fn checked<'a>(args: &RunArgs, source: Source, loaded: &'a Loaded) -> Result<Run<'a>, Failure> {
+    let only = chosen(loaded, &args.launch)?;
     let mut actions = BTreeMap::new();
     for bound in &args.action {
         if !loaded.actions().any(|action| action == bound.name) {
@@ -44,14 +53,15 @@ pub fn run(args: &RunArgs, out: &mut Output) -> Result<Exit, Failure> {
         actions.insert(bound.name.clone(), bound.words.clone());
     }
     let (cell, args) = (&args.cell, &args.launch);
-    let mut run = plan(source, &loaded, args, (args.length, only), None)?;
+    let mut run = plan(source, loaded, args, (args.length, only), None)?;
     if let Some(name) = args.node.as_ref().filter(|_| !args.insecure) {
         run.keys = Keys::Folder(folder_of_keys(cell, args, name)?);
     }
-    launch(Run { actions, ..run }, args, None, out)
+    Ok(Run { actions, ..run })
 }
 
-/// The folder with the keys of a node that runs on its own: the named one, else the one beside the cell.
+/// The folder with the keys of a node that runs on its own: the folder that the user named, else the one beside the
+/// cell file.
 fn folder_of_keys(cell: &Path, args: &LaunchArgs, node: &str) -> Result<PathBuf, Failure> {
     let beside = || Some(keys::beside(cell)).filter(|beside| !cell_file::is_stdin(cell) && beside.is_dir());
     args.keys.clone().or_else(beside).ok_or_else(|| {
@@ -62,7 +72,7 @@ fn folder_of_keys(cell: &Path, args: &LaunchArgs, node: &str) -> Result<PathBuf,
     })
 }
 
-/// Whether the program of a command can be found, by the same rules as when it is executed.
+/// Whether the program of a command can be found, by the rules that apply when it is executed.
 fn is_there(program: &str) -> bool {
     if Path::new(program).components().count() > 1 {
         return Path::new(program).is_file();
@@ -71,7 +81,7 @@ fn is_there(program: &str) -> bool {
     env::split_paths(&folders).any(|folder| folder.join(program).is_file())
 }
 
-/// The only node that runs here, if `--node` names one. Also checks that the options fit the cell and each other.
+/// The only node that this launcher runs, if `--node` names one. Also checks that the options fit the cell and each other.
 ///
 /// # Errors
 /// [`Failure::Usage`].
@@ -108,13 +118,13 @@ pub fn chosen(loaded: &Loaded, args: &LaunchArgs) -> Result<Option<NodeId>, Fail
     Ok(only)
 }
 
-/// Refuses to replace recordings of an earlier run without `--force`. This changes nothing: a node replaces its file only
-/// once it is bound and locked, so that a run that never begins destroys no recording.
+/// Refuses to replace recordings of an earlier run without `--force`. This changes nothing: a node replaces its file
+/// only once it has bound its socket and locked its incarnation, so that a run that never begins destroys no recording.
 fn recordings_are_free(loaded: &Loaded, only: Option<NodeId>, args: &LaunchArgs) -> Result<(), Failure> {
     let Some(file) = &args.record else { return Ok(()) };
     let nodes = loaded.table.cell().nodes.iter().enumerate();
     for (_, node) in nodes.filter(|(at, _)| only.is_none_or(|only| only.index() == *at)) {
-        // A restarted node writes its next incarnation into another file beside the first.
+        // A restarted node records its next incarnation in another file, beside the first one.
         let later = (2..=args.restart.len() + 1).map(|number| format!("{}-{number}", node.name));
         for name in std::iter::once(node.name.clone()).chain(later) {
             let path = record_file(file, &name);

@@ -2,13 +2,13 @@
 
 use std::time::Duration;
 
-/// The longest duration. Adding a longer one to an instant could overflow.
+/// The longest duration that is accepted. Adding a longer one to an instant could overflow.
 const LONGEST: Duration = Duration::from_secs(100 * 365 * 24 * 3600);
 
 /// Why a text is not a duration.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TimeError {
-    /// The text does not parse.
+    /// The text cannot be parsed.
     #[error("{0}: write a number and a unit, as in 500ms, 500 msec, 2s or 1min 30s")]
     Text(humantime::DurationError),
     /// The duration is longer than a century.

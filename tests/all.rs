@@ -1,5 +1,5 @@
-//! The end-to-end tests of the command and the checks of the repository, one module each. They form one binary, which is linked
-//! once. Its tests mostly wait for processes, and so run side by side.
+//! The end-to-end tests of the command and the checks of the repository, one module each. They form one binary, which
+//! is linked once. The tests mostly wait for processes, so they run side by side.
 
 mod support;
 
@@ -36,4 +36,5 @@ mod tidy;
 mod transcripts;
 mod twins;
 mod two_owners;
+mod unit;
 mod verify_cell;

@@ -1,4 +1,4 @@
-//! Checks the imports between the crates against the picture of ARCHITECTURE.md, with the help of cargo.
+//! Checks that the crates import each other only as the picture in ARCHITECTURE.md shows. The imports come from cargo.
 
 use crate::support::metadata;
 use std::collections::{BTreeMap, BTreeSet};
@@ -58,8 +58,8 @@ fn the_rooms_import_each_other_only_along_the_arrows() {
         let Some(allowed) = allowed.get(package.as_str()) else {
             panic!("`{package}` is new here: say in ARCHITECTURE.md and in this test what it may import")
         };
-        // Tests may import more. The checker's tests compile cells. The macros' tests and the programs of `examples/` run what
-        // the macros generate.
+        // Tests may import more crates. The checker's tests compile cells. The macros' tests and the programs of
+        // `examples/` run the generated code of the macros.
         let tested_with = |name: &String| {
             let both = (package.as_str(), name.as_str());
             [
@@ -150,7 +150,7 @@ fn robots_carry_no_model_checker_and_no_screen() {
         "imrs-testkit",
         "imrs",
     ];
-    // The launcher must not depend on this crate either, because it prints nothing.
+    // The launcher must not depend on the crate `imrs` either, because the launcher prints nothing.
     for package in ["imrs-runtime", "imrs-client", "imrs-launch"] {
         for name in tree_of(package, "", "imrs-protocol").iter().skip(1) {
             assert!(!absent.contains(&name.as_str()), "{package} brings {name} along");

@@ -1,7 +1,7 @@
 //! `imrs replay --model` names the assumptions of the checks that a run broke: packets lost or doubled, failed actions,
 //! killed nodes, clocks that drifted apart, each compared with what the cell declares. The recordings come from real
-//! runs with the launcher's faults, or are altered in one respect. If this machine is late, no verdict of these tests
-//! changes.
+//! runs with faults of the launcher, or are altered in one respect. If this machine is late, these tests have the same
+//! verdicts.
 
 use crate::support::program::{one_after_the_other, times};
 use crate::support::{Said, run_in, run_until, runtime_dir, tape};
@@ -10,7 +10,7 @@ use imrs_wire::recording::{Record, Stream};
 use serde_json::Value;
 use std::sync::LazyLock;
 
-/// Two nodes that exchange statuses all the time, and no commands.
+/// A cell of two nodes that exchange statuses all the time, and no commands.
 const NEWS: &str = "\
 cell news;
 tick 10 msec;
@@ -48,8 +48,8 @@ const WORKS: &str = "work=sleep 0.05";
 const FAILS: &str = "work=timeout 0.05 sleep 9";
 const NODES: [&str; 2] = ["n1", "n2"];
 
-/// A recorded run of the cell. The declarations of `faults` do not change the run, so the same recording can be judged under
-/// several.
+/// A recorded run of the cell. The declarations of `faults` do not change the run, so the same recording can be judged
+/// under several of them.
 struct Run(tempfile::TempDir);
 
 impl Run {
@@ -85,7 +85,7 @@ impl Run {
         self.path(&format!("run.{node}.imrs"))
     }
 
-    /// The cell with these `faults` declared.
+    /// The file of the cell, with these `faults` declared.
     fn cell(&self, faults: &str) -> String {
         let cell = self.path("news.cell");
         std::fs::write(&cell, format!("{NEWS}{faults}\n")).expect("the cell is written");
@@ -98,7 +98,7 @@ impl Run {
         run_in(self.0.path(), &how)
     }
 
-    /// The breaches of the run under these `faults`: kind, text and count.
+    /// The broken assumptions of the run if these `faults` are declared: kind, text and count of each.
     fn breaches(&self, faults: &str) -> Vec<(String, String, u64)> {
         let said = self.follow(faults, "json");
         let told = said.last_json();
@@ -111,7 +111,8 @@ impl Run {
         all
     }
 
-    /// The assumption of this kind that a run with these faults broke, and how often; none if it held.
+    /// The assumption of this kind that the run broke if these `faults` are declared, and how often; `None` if the run
+    /// broke none.
     fn breach(&self, faults: &str, kind: &str) -> Option<(String, u64)> {
         let all = self.breaches(faults);
         all.into_iter().find(|breach| breach.0 == kind).map(|(_, what, times)| (what, times))
@@ -124,7 +125,7 @@ impl Run {
     }
 }
 
-/// Enough lines for some dozens of statuses.
+/// Accepts when the run has printed enough lines for some dozens of statuses.
 fn dozens() -> impl FnMut(&str) -> bool {
     times(40, " begins work")
 }
@@ -149,7 +150,7 @@ fn more_lost_packets_than_declared_are_named_and_as_many_are_not() {
     assert_eq!(some.breach("faults loss 250;", "loss"), None);
     let told_meanwhile =
         &[" s fault: nothing passes", "sends `", "sends `", "reach each other again", "sends `"];
-    // The cut is long enough that two actions, each a process, begin and end within it.
+    // The cut is long enough that two actions, each of which is a process, begin and end within it.
     let cut = ["--action", WORKS, "--cut", "n1--n2@500ms+6s"];
     let cut = Run::of(&cut, one_after_the_other(told_meanwhile));
     assert_eq!(cut.breach("faults loss 250;", "loss"), None);
@@ -184,8 +185,8 @@ fn a_packet_that_a_link_doubled_is_a_path_and_named() {
         run.change("n2", |records| {
             let news: Vec<usize> = (0..records.len()).filter(|&at| is_news(&records[at])).collect();
             let [first, next, ..] = news[..] else { panic!("news") };
-            // The copy arrives when the task waits again. The task's state machine drops the copy, so its outputs stay the
-            // same.
+            // The copy arrives when the task waits again. The task's state machine drops it, so the machine's outputs
+            // stay the same.
             let mut copy = records[first].clone();
             let Record::Input { task: doubled, elapsed, outputs, .. } = &mut copy else { panic!("an input") };
             let doubled = *doubled;

@@ -182,7 +182,7 @@ fn fmt_rewrites_checks_and_pipes() {
     assert_eq!((again.code, again.out.as_str()), (Some(0), ""));
     let piped = run_with(&["fmt", "-"], "cell  c;\nnode n;\n");
     assert_eq!((piped.code, piped.out.as_str()), (Some(0), "cell c;\nnode n;\n"));
-    // A file that cannot be read does not stop the others from being formatted.
+    // One file cannot be read. The command formats the other files nevertheless.
     let (_faulty, faulty) = file(b"cell c\nnode ;");
     let (_other, other) = file(b"cell  c;\n");
     let mixed = run(&["fmt", &faulty, &other]);
@@ -192,7 +192,7 @@ fn fmt_rewrites_checks_and_pipes() {
     assert_eq!(fs::read_to_string(&other).unwrap(), "cell c;\n");
 }
 
-/// The texts are escapes that set a title, a one-byte control that clears the screen, and right-to-left text.
+/// The cell's texts contain escapes that set a title, a one-byte control that clears the screen, and right-to-left text.
 #[test]
 fn what_a_cell_file_hides_reaches_no_terminal() {
     let hidden = "\u{1b}]0;owned\u{7} \u{9b}2J \u{202e}evil";
@@ -231,7 +231,7 @@ fn what_a_cell_file_hides_reaches_no_terminal() {
     assert!(piped.out.contains(hidden), "a file stays what it is: {piped:?}");
 }
 
-/// A limit on the size of files stands for a full disk.
+/// A limit on the size of files has the effect of a full disk.
 #[test]
 fn fmt_keeps_the_file_where_it_cannot_write_all_of_the_new_one() {
     let text = format!("cell  c;\nnode n;\n{}", "// a comment that takes room\n".repeat(500));
@@ -422,7 +422,7 @@ fn an_answer_that_comes_later_is_checked_and_runs() {
     let (_dir, path) = file(LATER.as_bytes());
     let verified = run(&["verify", &path, "--jobs", "1"]);
     assert!(verified.code == Some(0) && verified.out.contains("the check holds"), "{verified:?}");
-    // Both tasks return the tool, whichever of them had to wait, and however long this machine suspends them.
+    // Both tasks return the tool, whichever of them had to wait, and however long this machine suspends their nodes.
     let dir = runtime_dir();
     let patient = LATER.replace("time_out = 1 sec", "time_out = 1000 sec");
     let (_patient_dir, path) = file(patient.replace("time_out = 3 sec", "time_out = 1000 sec").as_bytes());
@@ -446,7 +446,7 @@ fn the_first_cell_of_the_reference_holds() {
     assert!(verified.out.contains("nothing found, everything within these bounds"), "{}", verified.out);
 }
 
-/// The first message of an exchange goes to its receiver, and an answer goes back. At a waitfor each member sends to all.
+/// The first message of an exchange goes to its receiver, and an answer goes back. At a waitfor each member sends to all others.
 #[test]
 fn the_arrows_of_a_graph_go_as_messages_do() {
     let expected: [(&str, &[&str]); 6] = [

@@ -1,4 +1,4 @@
-//! Tests that a run judges the checks of its cell. Lateness of this machine changes no verdict here.
+//! Tests that a run judges the checks of its cell. If this machine is late, the tests have the same verdicts.
 
 use crate::support::{Said, example, own_address, run_in, runtime_dir, side_by_side, tried, was_late};
 use serde_json::Value;
@@ -76,7 +76,7 @@ fn a_check_that_a_run_breaks_is_told_with_its_line_and_values() {
         assert_eq!(said.code, Some(1), "{said:?}");
         let words = "check apart (line 18) does not hold: a.busy = true, b.busy = true";
         assert!(said.out.contains(words), "{said:?}");
-        // The complaint quotes the line, because it may be read without the cell file.
+        // The complaint quotes the line of the check, because it may be read without the cell file.
         assert!(
             said.err.contains(words) && said.err.contains("`check apart: never a.busy and b.busy;`"),
             "{said:?}"

@@ -1,5 +1,5 @@
 //! The import graph of the files of each crate has no cycle, so each file can be read and tested after the files that
-//! it imports. If a file names the files of its folder by their bare names, it and those files count as one.
+//! it imports. A file that names the files of its folder by their bare names counts as one file with them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -21,7 +21,7 @@ const ROOMS: [&str; 11] = [
     "testkit/src",
 ];
 
-/// The path of a module, below `crate`.
+/// The path of a module: its names below `crate`.
 type Module = Vec<String>;
 
 /// The modules of a crate with their code, without comments and unit tests.
@@ -82,7 +82,7 @@ fn space(rest: &mut Peekable<Chars<'_>>) {
     while rest.next_if(|c| c.is_whitespace()).is_some() {}
 }
 
-/// Reads the rest of a path: more segments, or several ends in braces.
+/// Reads the rest of a path: more names, or several ends in braces.
 fn path(mut own: Module, rest: &mut Peekable<Chars<'_>>, found: &mut BTreeSet<Module>) {
     while rest.peek() == Some(&':') {
         rest.next();
@@ -108,7 +108,7 @@ fn ends(own: &Module, rest: &mut Peekable<Chars<'_>>, found: &mut BTreeSet<Modul
             Some(&next) if is_word(next) => {
                 let end = [&own[..], &[word(rest)]].concat();
                 path(end, rest, found);
-                // `as another`
+                // Skips a renaming: `as another`.
                 while rest.next_if(|&c| c != ',' && c != '}').is_some() {}
             }
             Some('}') | None => {
@@ -138,7 +138,7 @@ fn file(path: &Module, own: &Module, modules: &BTreeMap<Module, String>) -> Opti
     (!at.is_empty() && at != *own).then_some(at)
 }
 
-/// The modules in import cycles, each with its imports in them.
+/// The modules that are in import cycles. For each of them: its imports within the cycles.
 fn circles(modules: &BTreeMap<Module, String>) -> BTreeMap<Module, BTreeSet<Module>> {
     let imports = |(own, code): (&Module, &String)| {
         let others: BTreeSet<Module> =

@@ -26,7 +26,7 @@ begin
 end t;
 ";
 
-/// The same cell, except that the action must be over at once.
+/// The same cell, except that the action must end at once.
 const SHORT: &str = "\
 cell short;
 tick 1 msec;
@@ -37,8 +37,8 @@ begin
 end t;
 ";
 
-/// A command with a child, and a process in a session of its own. `setsid` forks no further process here, because its parent is
-/// a shell.
+/// A command that starts a child, and a process in a session of its own. `setsid` forks no further process in this
+/// script, because its parent is a shell.
 const FAMILY: &str = "\
 note() { echo $2 > $DIR/$1.new; mv $DIR/$1.new $DIR/$1; }
 echo \"$IMRS_EPOCH\" > $DIR/epoch
@@ -83,8 +83,8 @@ impl Scene {
         (scene, family)
     }
 
-    /// Does what `with_family` does, but the launcher kills the node after this time. `None` if not all processes ran
-    /// before the kill.
+    /// As `with_family`, but the launcher kills the node after this time. `None` if not all processes ran before the
+    /// kill.
     fn with_doomed_family(killed_after: Duration) -> Option<(Self, [u32; 3])> {
         let begin = Instant::now();
         let scene = Self::start(HELD, "grip", FAMILY, &["--kill", &format!("n@{}s", killed_after.as_secs())]);
@@ -96,7 +96,7 @@ impl Scene {
         }
         let family = ALL.map(|name| scene.process(name));
         let are_alive = family.iter().all(|&pid| is_alive(pid));
-        // The clock is read after the check, which shows that the kill came after the check.
+        // This clock reading comes after the check, so it shows that the check came before the kill.
         (!is_late()).then(|| {
             assert!(are_alive, "{family:?}");
             (scene, family)
@@ -107,7 +107,7 @@ impl Scene {
         self.dir.path().join(name)
     }
 
-    /// The text of a file, once it exists.
+    /// The text of a file; waits until the file exists.
     fn text(&self, name: &str) -> String {
         wait_until(&format!("the action has written `{name}`"), || self.path(name).exists());
         std::fs::read_to_string(self.path(name)).expect("a text")
@@ -134,7 +134,7 @@ impl Scene {
 }
 
 impl Drop for Scene {
-    /// Kills remaining processes, in case a test fails.
+    /// Kills the processes that still run if a test fails.
     fn drop(&mut self) {
         for name in ALL {
             let text = std::fs::read_to_string(self.path(name)).unwrap_or_default();
@@ -208,7 +208,7 @@ fn a_killed_guard_takes_its_command_with_it_and_that_is_told() {
     let [command, child, left] = family;
     signal(parent(command), Signal::KILL);
     wait_until("the group of the command has ended", || !is_alive(command) && !is_alive(child));
-    // The guard of this process is dead, so no guard can kill it, and the run reports that.
+    // The guard that should kill this process is dead. So the process stays, and the run reports that.
     signal(left, Signal::KILL);
     let said = scene.finish();
     assert_eq!(said.code, Some(1), "{said:?}");
@@ -221,7 +221,7 @@ fn a_command_learns_by_when_it_must_be_over_and_no_epoch_without_a_couple() {
     let before = boottime();
     let (mut scene, family) = Scene::with_family(&[]);
     let deadline: u64 = scene.text("deadline").trim().parse().expect("microseconds");
-    // The length is the sum of the declared time and the margin.
+    // The time until the deadline is the sum of the declared time and the margin.
     let length = 602_000_000;
     assert!((before + length..=boottime() + length).contains(&deadline), "{deadline}");
     assert_eq!(scene.text("epoch").trim(), "");
@@ -271,7 +271,8 @@ fn a_command_that_takes_too_long_is_killed_and_its_action_fails_by_name() {
     });
 }
 
-/// Starts the weld cell with [`FAMILY`] as the weld action; all other actions take no time. The owner's node is the first one.
+/// Starts the weld cell with [`FAMILY`] as the weld action; all other actions take no time. The node of the lease's
+/// owner is the first one.
 fn weld(lease: &str, args: &[&str]) -> Scene {
     let cell = std::fs::read_to_string(example("weld_cell.cell")).expect("the example");
     let usual = "lease 100 msec takeover 400 msec every 20 msec";
@@ -283,7 +284,7 @@ fn weld(lease: &str, args: &[&str]) -> Scene {
     Scene::start(&cell, "weld", FAMILY, &[&others, args].concat())
 }
 
-/// A lease that a busy machine does not lose.
+/// A lease that is long enough not to end on a busy machine.
 const LEASE: &str = "lease 4000 msec takeover 9000 msec every 100 msec";
 
 #[test]
@@ -299,7 +300,7 @@ fn a_stopped_node_keeps_its_command_no_longer_than_its_lease() {
     signal(scene.nodes[0], Signal::STOP);
     all_end(family);
     assert!(is_alive(scene.nodes[0]));
-    // The command must not end before the end of the lease that it received last.
+    // The command must not end before the end of the last lease that it was told.
     let last = last().expect("a deadline");
     assert!(boottime() >= last, "{last}");
     assert!(last < first + 600_000_000, "the end of a lease, not that of the action");
@@ -315,20 +316,20 @@ fn one_active(summary: &Value) -> &Value {
 
 #[test]
 fn a_check_is_unknown_while_the_command_of_a_killed_node_may_go_on() {
-    // The guard dies with its node. So the end of the command is never confirmed, and its descendants go on.
+    // The guard dies with its node. So no guard confirms the end of the command, and its descendants go on.
     let mut scene = weld(LEASE, &[]);
     let family = ALL.map(|name| scene.process(name));
     let guard = parent(family[0]);
     signal(scene.nodes[0], Signal::STOP);
     signal(guard, Signal::KILL);
     signal(scene.nodes[0], Signal::KILL);
-    // By now the standby has taken over and welds, too.
+    // By now the standby has taken over and welds.
     let second = scene.process("by0");
     assert!(is_alive(second) && is_alive(family[1]));
     scene.program().interrupt();
     let launcher = scene.program().pid();
     wait_until("the run has ended", || !is_alive(launcher));
-    // While these processes run, they keep the standard error of the run open.
+    // These processes keep the standard error of the run open while they run, so they are killed.
     family[1..].iter().for_each(|&pid| signal(pid, Signal::KILL));
     let said = scene.finish();
     // The kill of the node is a finding, which outranks an unknown check (D148).

@@ -21,7 +21,7 @@ fn is_alone(summary: &Value) -> bool {
     outcome["held"] == false && outcome["words"].to_string().contains(ALONE)
 }
 
-/// Whether the tasks gave up the lift. They do if a node is suspended for longer than the time_out of the lift.
+/// Whether the tasks gave up the lift. They do so if a node is suspended for longer than the time_out of the lift.
 fn gave_up(words: &str) -> bool {
     words.contains("partner missing") || words.contains("arms missing")
 }
@@ -29,7 +29,7 @@ fn gave_up(words: &str) -> bool {
 /// Why a test runs the beam lift again.
 const GAVE_UP: &str = "a node stood still for longer than the time_out of the lift";
 
-/// Asserts that the promise of the demo was kept.
+/// Asserts that the promise of the demo was kept, unless an arm could not stop.
 fn check_outcome(summary: &Value) {
     if is_alone(summary) {
         excused("an arm could not stop, because its node stood still in mid lift");
@@ -38,7 +38,7 @@ fn check_outcome(summary: &Value) {
     }
 }
 
-/// Asserts what must hold under the faults that the demo is about.
+/// Asserts what must hold under the faults that the demo shows.
 fn check(summary: &Value) -> &Value {
     check_outcome(summary);
     check_rounds(summary)
@@ -80,7 +80,7 @@ fn ended(demo: Live, what: &str, is_so: impl FnMut(&Value) -> bool) -> (Value, S
     (summary, errors)
 }
 
-/// The summary of a beam lift, interrupted once `is_so` accepts a monitor's sample; repeated if the tasks gave up before.
+/// The summary of a beam lift, interrupted once `is_so` accepts a monitor's sample. Repeats the lift if the tasks gave up before.
 fn lifts(args: &[&str], what: &str, is_so: impl Fn(&Value) -> bool) -> Value {
     for _ in 0..TIMES {
         let demo = Live::demo(&[&["--for", "10m"], args].concat());
@@ -104,14 +104,14 @@ fn said_until(args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
     run_until(dir.path(), &[&["demo", "--for", "5min"], args].concat(), is_enough)
 }
 
-/// Runs a demo until `is_enough` holds, and expects that it ends well.
+/// Runs a demo until `is_enough` accepts a line, and asserts that the demo ends well.
 fn told(args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
     let said = said_until(args, is_enough);
     assert!(said.is_well(), "{said:?}");
     said
 }
 
-/// Runs the beam lift in the same way. Runs it again if a node was suspended during a lift, or for longer than the others wait.
+/// Runs the beam lift as [`told`] does. Runs it again if a node was suspended during a lift, or for longer than other tasks wait.
 fn lift_told<E: FnMut(&str) -> bool>(args: &[&str], is_enough: impl Fn() -> E) -> Said {
     for _ in 0..TIMES {
         let said = said_until(&[&["beam-lift"], args].concat(), is_enough());
@@ -134,7 +134,7 @@ fn says(said: &Said, words: &[&str]) {
 
 #[test]
 fn without_faults_everybody_starts_together() {
-    // An answer must come within 5 msec, so a late machine may need several lifts for one. The last query may still be open.
+    // An answer must come within 5 msec, so a late machine may need several lifts. The last query may still be open.
     let summary = lifts(&["--no-fault"], "three lifts and an answer", |seen| {
         let beats = |name: &str| figure(seen, "armL", "beat", name);
         released(seen, "armL") >= 3 && beats("sent") >= beats("timed_out") + 2
@@ -161,15 +161,15 @@ fn without_faults_everybody_starts_together() {
 #[test]
 fn the_text_is_for_people_and_has_no_escapes_in_a_pipe() {
     let said = lift_told(&["--no-fault"], || times(2, "ends stop_now"));
-    // No output may contain an escape code. It may contain a finding (exit code 1): a slow computer can break a check.
+    // No output may contain an escape code. A finding is allowed (exit code 1), because a slow computer can break a check.
     assert!(!said.out.contains('\u{1b}') && !said.err.contains('\u{1b}'), "{said:?}");
     assert!(said.code == Some(1) || said.err.is_empty(), "{said:?}");
     says(&said, &["imrs monitor", "false releases: 0", "start skew:", "What happened", "The arms "]);
     assert!(said.out.lines().all(|line| line.chars().count() <= 120), "{}", said.out);
 }
 
-/// The cut comes while the arms move. On a late machine the arms may have stopped by then, or not notice the cut. The demo
-/// says so, and the test runs it again, a few times.
+/// The cut comes while the arms move. On a late machine the arms may have stopped by then, or may not notice the cut. The demo
+/// says so, and the test repeats it a few times.
 #[test]
 fn a_link_that_fails_in_mid_lift_stops_both_arms() {
     let gone_on = &[" s fault: nothing passes", "reach each other again", "ends stop_now", "ends stop_now"];
@@ -195,7 +195,7 @@ fn when_the_robots_node_dies_the_other_takes_over_and_looks_at_the_spot() {
     } else {
         says(&said, &["the node of r1 was killed, in the middle of `weld 0`", "r2 began with `recheck 0`"]);
     }
-    // The node nt relays the packets between them.
+    // The node nt relays the packets between the other two nodes.
     assert!(
         said.out.lines().any(|line| line.contains("node nt") && line.contains("passed on")),
         "{}",
@@ -233,7 +233,7 @@ fn a_camera_that_stands_still_costs_time_and_no_wrong_grip() {
             ended(demo, "a fourth part", |seen| figure(seen, "place", "coming", "delivered") >= 4);
         assert_eq!(summary["outcome"]["held"], true, "{summary} {errors}");
         assert!(summary["outcome"]["words"].to_string().contains(words), "{summary}");
-        // All parts are accounted for: the number of parts taken is the sum of the other numbers.
+        // All parts are accounted for: the number of parts taken is the sum of the other numbers in this sentence.
         let parts = summary["outcome"]["words"][0].as_str().expect("a sentence");
         let numbers = parts.split(|c: char| !c.is_ascii_digit()).filter_map(|number| number.parse().ok());
         let numbers: Vec<u64> = numbers.collect();
@@ -244,7 +244,7 @@ fn a_camera_that_stands_still_costs_time_and_no_wrong_grip() {
     });
 }
 
-/// The time and the argument of a line in which this action begins.
+/// The time and the action's argument in a line that says that this action begins.
 fn begins(line: &str, action: &str) -> Option<(f64, String)> {
     let argument = line.split_once(&format!(" begins {action} "))?.1;
     Some((line.split_whitespace().next()?.parse().ok()?, argument.to_owned()))
@@ -252,7 +252,7 @@ fn begins(line: &str, action: &str) -> Option<(f64, String)> {
 
 #[test]
 fn of_two_that_change_the_speed_at_once_one_gives_way() {
-    // If the machine lets both robots ask at once, the times of their lines differ by a few milliseconds only.
+    // If the machine lets both robots ask at once, the times of their two lines differ only by a few milliseconds.
     let (mut adapted, mut gave_way) = (Vec::new(), Vec::new());
     let said = told(&["belt-administrator", "--seed", "3"], |line| {
         adapted.extend(begins(line, "adapt"));
@@ -280,7 +280,7 @@ fn lost_packets_cost_time_but_never_a_false_start() {
     let tasks = ["armL", "armR", "hoist"];
     let summary = lifts(&["--loss", "20%", "--seed", "5"], "some rounds with copies", |seen| {
         let resent = tasks.iter().any(|task| figure(seen, task, "lift", "resent") > 0);
-        // Each task must send enough messages that some are lost.
+        // Each task must send so many messages that some of them are lost.
         let rounds = |name: &&str| task(seen, name)["waitfor"][0]["round"].as_u64().unwrap_or(0);
         resent && tasks.iter().map(rounds).min() >= Some(6)
     });
@@ -310,7 +310,7 @@ fn with_the_hoist_killed_both_arms_get_their_time_out() {
     for arm in ["armL", "armR"] {
         let gave_up = after.iter().find(|a| a["task"] == arm).unwrap_or_else(|| panic!("{arm} in {summary}"));
         let (waited, time_out) = (number(&gave_up["waited_us"]), number(&gave_up["time_out_us"]));
-        // A task never gives up early, and is late only by the delay of a busy machine.
+        // A task never gives up early. It may only be as late as a busy machine makes it.
         let late = if is_quiet() { 2_000_000 } else { 60_000_000 };
         assert!(waited >= time_out && waited < time_out + late, "{gave_up}");
     }
@@ -366,14 +366,14 @@ fn a_node_that_stood_still_carries_out_nothing_old() {
             return false;
         }
         signal(demo.pid("nr"), Signal::STOP);
-        // The partners of the task give up, as their scripts say. Their time_outs exceed every TTL in this cell.
+        // The partners of the task give up, as their scripts say. Their time_outs are longer than every TTL in this cell.
         demo.until("who waits gives up", |seen| {
             ["armL", "hoist"]
                 .iter()
                 .any(|name| ["ended", "crashed"].contains(&task(seen, name)["state"].as_str().unwrap_or("")))
         });
         signal(demo.pid("nr"), Signal::CONT);
-        // The partners kept announcing their arrival. The packets that waited in the kernel for the node come out expired.
+        // The partners kept announcing their arrival. Packets for the node waited in the kernel; the node takes them out expired.
         demo.until("what came out old", |seen| {
             let discards = named(&seen["nodes"], "nr")["discards"].as_array().cloned().unwrap_or_default();
             discards.iter().any(|of| of["reason"] == "expired_on_the_way" && of["count"].as_u64() > Some(0))
@@ -394,7 +394,7 @@ fn a_node_that_stood_still_carries_out_nothing_old() {
 #[test]
 fn a_cut_link_is_survived() {
     tried_again("the launcher stood still until the cut was over", || {
-        // Each lift takes half a second, so at least one of three lifts falls into the time of the cut.
+        // Each lift takes half a second, so at least one of three lifts happens during the cut.
         let summary = lifts(&["--cut", "nl--nr@500ms+1s"], "some lifts", |seen| {
             let up = named(&seen["nodes"], "nl")["uptime_us"].as_u64();
             released(seen, "armL") >= 3 && up > Some(2_000_000)
@@ -440,7 +440,7 @@ fn what_was_recorded_replays_bit_equal_and_a_changed_file_is_noticed() {
         std::fs::write(&recorded, bytes).unwrap();
         run(&["replay", recorded.to_str().unwrap()])
     };
-    // The flipped bits are in the length, in its checksum, in the checksum of the contents, and in the contents.
+    // The flipped bits are in a record's length, in the length's checksum, in the checksum of the contents, and in the contents.
     for place in [0, 2, 3, 5, 9, 12] {
         let mut damaged = whole.clone();
         damaged[at + place] ^= 1;
@@ -448,7 +448,7 @@ fn what_was_recorded_replays_bit_equal_and_a_changed_file_is_noticed() {
         assert_eq!(said.code, Some(2), "{said:?}");
         assert!(said.err.contains(&format!("at byte {at}: the record is damaged")), "{}", said.err);
     }
-    // A truncated file is judged up to its last whole record.
+    // A truncated recording is judged up to its last whole record.
     for length in [at + 5, at + 20] {
         let said = replayed(&whole[..length]);
         assert_eq!(said.code, Some(5), "{said:?}");

@@ -5,7 +5,7 @@ use crate::support::{example, is_well, is_whole, run, runtime_dir, side_by_side,
 use serde_json::Value;
 use std::path::Path;
 
-/// Cells with a task in Rust, which other tests run.
+/// Cells with a task in Rust. Other tests run these.
 const RUN_APART: [&str; 1] = ["extern_task"];
 
 /// The names and files of the cells.
@@ -35,7 +35,7 @@ fn every_cell_is_formatted() {
             }
         }
     }
-    // These are the cells of this folder, and of `classes`, `faulty`, `futures` and `rules`.
+    // The cells are those of the folder `examples`, and of `classes`, `faulty`, `futures` and `rules` in it.
     assert!(files.len() >= 90, "only {} cells", files.len());
     files.sort();
     let files: Vec<&str> = files.iter().map(String::as_str).collect();
@@ -43,8 +43,8 @@ fn every_cell_is_formatted() {
     assert_eq!((said.code, said.out.as_str()), (Some(0), ""), "{said:?}");
 }
 
-/// Cells whose declared faults take half a minute to verify: the cell, these faults, and faults that take less time.
-/// `IMRS_WHOLE=1` takes the declared ones.
+/// Cells whose declared faults take half a minute to verify: the cell, these faults, and faults that take less time to
+/// verify. With `IMRS_WHOLE=1` the declared faults are verified.
 const FEWER: [(&str, &str, &str); 7] = [
     ("beam_lift", "faults loss 2;", "faults loss 1;"),
     ("beam_lift", "faults cut nl -- nr loss 1;", "faults cut nl -- nr;"),
@@ -80,7 +80,7 @@ fn every_cell_holds_under_the_faults_that_it_declares() {
     }
 }
 
-/// A correct text of a cell, and the mistake that replaces it.
+/// A correct part of a cell's text, and the mistake that replaces it.
 type Slip = (&'static str, &'static str);
 
 const BORROWED_TOO_SHORT: Slip = ("start lent 4 sec", "start lent 2 sec");
@@ -92,7 +92,7 @@ const ANY_VERSION: Slip = ("s.version = now.version and ", "");
 const ANY_SPEED: Slip = (" and s.mm_s <= 500", "");
 const CHANGED_ONCE: Slip = ("time_out = 100 msec retry = 2", "time_out = 100 msec retry = 0");
 
-/// A cell, a mistake in it, the faults by which the mistake shows, and the checks that then fail.
+/// For each case: a cell, a mistake in it, the faults that are declared in place of its own, and the checks that then fail.
 const SPOILT: [(&str, Slip, &str, &[&str]); 8] = [
     ("shared_tool", BORROWED_TOO_SHORT, "", &["one_holder"]),
     ("shared_tool", BORROWED_TOO_LONG, "faults crash weldA;", &["dead_holder"]),
@@ -152,7 +152,7 @@ fn every_cell_runs() {
         let ports = summary["ports"].as_array().expect("ports");
         let delivered: u64 = ports.iter().filter_map(|port| port["delivered"].as_u64()).sum();
         assert!(delivered > 0, "{name}: {summary}");
-        // If this machine is later than the cell declares, a buffer may be full.
+        // If this machine is later than the cell declares, a buffer may be full, and so messages may be refused.
         let refused: u64 = ports.iter().filter_map(|port| port["refused"].as_u64()).sum();
         assert!(refused == 0 || was_late(dir.path(), &file, record[1].as_ref(), &nodes), "{name}: {summary}");
         for node in summary["nodes"].as_array().expect("nodes") {

@@ -6,7 +6,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::process::{Child, Stdio};
 
-/// The process of the server, which is killed when this is dropped.
+/// The process of the server. Dropping this kills it.
 struct Server(Child);
 
 impl Drop for Server {

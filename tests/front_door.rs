@@ -66,7 +66,8 @@ pub fn links(text: &str) -> Vec<&str> {
     targets.filter(|target| !target.is_empty() && !target.contains("://")).collect()
 }
 
-/// Whether these lines occur in a source in their order, and adjacent except where a line is `...`.
+/// Whether the lines of an excerpt occur in a source in this order. They must be adjacent, except that a line `...`
+/// stands for any lines.
 pub fn is_excerpt(excerpt: &[&str], source: &[&str]) -> bool {
     let mut at = 0;
     excerpt.split(|line| line.trim() == "...").filter(|piece| !piece.is_empty()).all(|piece| {

@@ -156,7 +156,7 @@ fn shell(dir: &Path, line: &str) -> Said {
     program.finish()
 }
 
-/// The first shown line that the command did not print behind the previous shown line.
+/// Returns the first shown line that the command did not print after the previous shown line.
 fn missing<'a>(shown: &[&'a str], printed: &str) -> Option<&'a str> {
     let mut printed = printed.lines();
     let shown = shown.iter().copied().filter(|line| !line.trim().is_empty() && line.trim() != "...");

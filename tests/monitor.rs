@@ -38,7 +38,7 @@ fn one_demo_seen_through_pipes() {
     let report = once.last_json();
     assert_eq!(report["version"], 1, "{report}");
 
-    // These are a true assertion, a false one, and a malformed one.
+    // The three assertions are true, false, and malformed.
     once_up(&["--assert", "up==3 and nodes==3"], &|said| said.code == Some(0));
     let all = |said: &Said| format!("{}{}", said.out, said.err).contains("up = 3");
     let wrong = once_up(&["--assert", "up>=4"], &all);
@@ -62,7 +62,7 @@ fn samples_come_until_the_reader_has_enough() {
         imrs(demo.dir(), &args).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("it starts");
     let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
     let end = Instant::now() + PATIENCE;
-    // Once a sample has all nodes, every later one has them, too.
+    // Once a sample has all nodes, every later sample has them, too.
     let mut whole = 0;
     while whole < 5 {
         let line = lines.next().expect("a sample").expect("text");
@@ -119,7 +119,7 @@ fn the_file_of_settings_is_read_and_its_slips_are_told() {
     let monitor = |config: &str| run_in(dir.path(), &["monitor", "--config", config, "--once"]);
     // The example file is accepted, but there is no node to show.
     fails(&monitor(&file("example.toml", &example.out)), 3, &["no running node found"]);
-    // If every line is uncommented, only the missing token file is wrong.
+    // If every line is uncommented, the only error is that the token file is missing.
     let all: String = example.out.lines().map(|line| uncommented(line) + "\n").collect();
     fails(&monitor(&file("all.toml", &all)), 2, &["/etc/imrs/observe.token"]);
     fails(
@@ -135,7 +135,7 @@ fn the_file_of_settings_is_read_and_its_slips_are_told() {
     assert!(schema.code == Some(0) && schema.out.contains("reduced_motion"), "{schema:?}");
 }
 
-/// A line `#key = value` without its `#`.
+/// For a line `#key = value`, the line without its `#`.
 fn uncommented(line: &str) -> String {
     let key = line.strip_prefix('#').filter(|rest| rest.starts_with(|c: char| c.is_ascii_lowercase()));
     key.unwrap_or(line).to_owned()

@@ -1,4 +1,5 @@
-//! Tests of what a monitor shows of nodes that appear, die and come back (M8): real processes, killed as by a power cut.
+//! Tests of what a monitor shows of nodes that appear, die and come back (goal M8). The nodes are real processes, which
+//! are killed as by a power cut.
 
 use crate::support::{bound, is_quiet};
 use imrs_monitor::Watch;
@@ -17,17 +18,17 @@ use std::time::{Duration, Instant};
 
 /// The environment variable with the folder in which the node of the child process puts its socket.
 const FOLDER: &str = "IMRS_TEST_NODE_IN";
-/// Time limit of every wait on a busy machine.
+/// How long every wait may take on a busy machine.
 const LONG: Duration = Duration::from_secs(60);
-/// The promised times on a quiet machine, for the best of several trials: to attach, to show a death, to show a return. They
-/// are asserted if `IMRS_QUIET=1` says that this machine is quiet.
+/// The promised times on a quiet machine, for the best of several trials: to attach, to show a death, to show a return.
+/// These times are asserted if `IMRS_QUIET=1` says that this machine is quiet.
 const GOALS: [(&str, Duration); 3] = [
     ("attach to first full frame", Duration::from_millis(150)),
     ("death shown", Duration::from_secs(1)),
     ("reattach after restart", Duration::from_secs(1)),
 ];
 
-/// The body of a child process that the other test starts and kills.
+/// The body of a child process. The other test starts and kills that process.
 #[test]
 fn the_node_of_the_other_process() {
     let Some(folder) = std::env::var_os(FOLDER) else { return };
@@ -52,11 +53,11 @@ fn the_node_of_the_other_process() {
         .unwrap();
     let path = PathBuf::from(folder).join(format!("n0-{}.sock", std::process::id()));
     let _observer = Observer::start_at(Arc::clone(runtime.node()), &path).unwrap();
-    // The other test needs the node for no longer than this.
+    // The other test of this file needs the node for no longer than this.
     thread::sleep(2 * LONG);
 }
 
-/// A node in a child process. Dropping this kills it.
+/// A node in a child process. Dropping this value kills the process.
 struct Node(Child);
 
 impl Node {

@@ -17,12 +17,12 @@ const WELD: &str = "weld_cell.cell";
 const IN_PROCESSES: &[&str] = &["--seed", "5"];
 const IN_ONE: &[&str] = &["--seed", "6", "--in-process"];
 
-/// Returns a function that is true once both arms have stopped after so many lifts.
+/// Returns a function that returns true once both arms have stopped after this many lifts.
 fn lifts(number: usize) -> impl FnMut(&str) -> bool {
     times(2 * number, " ends stop_now")
 }
 
-/// Whether the arms gave up the lift, as they do if a node is suspended for longer than their time_out.
+/// Whether the arms gave up the lift. They do so if a node is suspended for longer than their time_out.
 fn is_given_up(run: &Recorded) -> bool {
     let is_so = run.said.contains("partner missing") || run.said.contains("arms missing");
     if is_so {
@@ -81,7 +81,7 @@ fn welds_with_faults_are_paths_of_the_model() {
         let run = Recorded::of(WELD, &[how, fault].concat(), all_of(until));
         let Some(told) = path_of(&run) else { return };
         let lost = told["lost"].as_array().expect("links");
-        // On a late machine r1 may lose its lease, and with it the heartbeats, before the fault comes.
+        // On a late machine r1 may lose its lease before the fault comes, and then its heartbeats end.
         let too_late =
             run.said.find("has lost the lease").is_some_and(|at| run.said[at..].contains(" s fault: n"));
         assert!(too_late || !lost.is_empty(), "{fault:?}: {told}");
@@ -102,7 +102,7 @@ fn nodes_of_two_runs_are_no_run() {
     });
     let mut files = one.files();
     files[0] = other.file("nl");
-    // Each recording, taken alone, replays bit by bit.
+    // Each recording by itself replays with bit-equal outputs.
     for file in &files {
         let file = file.to_str().expect("UTF-8");
         let said = run_in(one.folder.path(), &["replay", file, "--cell", &one.cell]);
@@ -119,7 +119,7 @@ fn nodes_of_two_runs_are_no_run() {
     assert!(twice.err.contains("node nl is given twice: "), "{twice:?}");
 }
 
-/// A restarted node has several recordings of one run. The model does not follow them, so the result is unknown.
+/// A restarted node has several recordings of one run. The model does not follow such a node, so the result is unknown.
 #[test]
 fn of_a_run_with_a_restart_nothing_is_known() {
     for how in [IN_PROCESSES, IN_ONE] {
@@ -192,7 +192,7 @@ fn what_nobody_sent_is_no_path() {
     if is_given_up(&run) || path_of(&run).is_none() {
         return;
     }
-    // This is an answer without a query, which armL's own state machine ignores.
+    // The inserted packet is an answer without a query, which armL's own state machine ignores.
     let files = run.change("nl", |records| {
         let answer = |record: &Record| {
             matches!(record, Record::Input { input: Input::Packet(Packet { kind: Kind::Response, .. }), .. })
@@ -208,7 +208,7 @@ fn what_nobody_sent_is_no_path() {
             (*elapsed, *digest) = (Ticks::ZERO, outputs.expect("an input before it"));
         }
         records.insert(at, forged);
-        // Without this change, the count of inputs alone would reveal the alteration.
+        // The count of inputs in the last record is changed, too, because it alone would reveal the alteration.
         for record in records {
             if let Record::Close { inputs, .. } = record {
                 *inputs += 1;
@@ -262,7 +262,7 @@ fn a_member_that_never_heard_of_the_others_is_not_released() {
 const GRIPS: &str =
     "cell grips; tick 1 msec; node n; task a on n begin loop run grip takes 100..200 msec; end; end a;";
 
-/// Replays a run of [`GRIPS`] whose first grips took so many microseconds, and the others 150 ms.
+/// Replays a run of [`GRIPS`]. Its first grips took this many microseconds each, and all others 150 ms.
 fn grips_that_took(microseconds: &[u64]) -> Said {
     let run = Recorded::of_text(GRIPS, times(3, " ends grip"));
     let files = run.change("n", |records| {
@@ -302,13 +302,13 @@ fn of_a_machine_that_is_late_it_is_unknown_what_times_say_by_few_ticks() {
     let told = said.last_json();
     assert_eq!((&told["path"], &told["complete"]), (&Value::from(false), &Value::from(false)), "{told}");
     assert!(told["unknown"].as_str().is_some_and(|why| why.starts_with("nodes acted late")), "{told}");
-    // Lateness cannot explain a grip that was this fast.
+    // Lateness of this machine cannot explain a grip that was this fast.
     no_path(&grips_that_took(&[600_000, 15_000]));
 }
 
-/// Timers of a task that expire in one tick of the model expire in either order on a real node. A timer that was started
-/// first may expire before or after a `delay` that ends in that tick, although none of its times can be rounded in another
-/// way.
+/// Timers of a task that expire in one tick of the model expire in either order on a real node. A timer that was
+/// started before a `delay` may expire before or after the end of that delay in the same tick, although neither time
+/// can be rounded in another way.
 #[test]
 fn timers_that_end_in_one_tick_end_in_either_order() {
     const TIES: &str = "\
@@ -325,7 +325,7 @@ begin
   while ends < 44 do delay 1 msec; end;
 end a;";
     let run = Recorded::of_text(TIES, |_| false);
-    // About half of some forty expirations come after the end of a delay in the same tick.
+    // About half of some forty expirations of the timer come after the end of a delay in the same tick.
     path_of(&run);
 }
 

@@ -1,12 +1,12 @@
-//! Checks the list of faults that `.ci/planted` plants into the protocol: each must still fit its file, because otherwise it
-//! would not test the checker.
+//! Checks the list of faults that `.ci/planted` plants into the protocol. Each fault must still fit its file, because
+//! otherwise it would not test the checker.
 
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
-/// The least number of faults. Fewer would test the claims too little.
+/// The least number of faults in the list. Fewer faults would test the claims too little.
 const FEWEST: usize = 80;
 
 struct Fault {
@@ -47,7 +47,7 @@ fn every_planted_fault_fits_its_file_exactly_once() {
         let text = fs::read_to_string(Path::new(ROOT).join(&file)).unwrap_or_else(|e| panic!("{file}: {e}"));
         assert!(!old.is_empty() && old != new, "{title}: changes nothing");
         assert_eq!(text.matches(&old).count(), 1, "{title}: its lines in {file}");
-        // The word `guard` stands for the random cells of model/tests/guard, which are no claim.
+        // The word `guard` stands for the random cells of model/tests/guard, which are no claim of the protocol.
         let is_known = claim == "guard" || imrs_model::claim_names().contains(&claim.as_str());
         assert!(is_known, "{title}: no claim is named {claim}");
         assert!(titles.insert(title.clone()), "{title}: twice");

@@ -1,5 +1,5 @@
-//! Runs random cells on the real runtime: the behaviour of threads and clocks must be a path of the model, too. The cells
-//! are those that test the search (`model/tests/guard`).
+//! Runs random cells on the real runtime: what threads and clocks do must be a path of the model, too. The cells are
+//! the ones that test the search (`model/tests/guard`).
 
 #[path = "../model/tests/guard/cells.rs"]
 #[expect(dead_code, reason = "bodies for tasks outside are of the checker's own tests")]
@@ -11,7 +11,7 @@ use crate::support::{bound, excused, run_in, runtime_dir};
 use imrs_language::{Source, Unit, compile};
 use std::path::Path;
 
-/// Number of random bytes for a cell.
+/// The number of random bytes from which a cell is made.
 const TAPE: usize = 300;
 
 fn tape(seed: u64) -> Vec<u8> {
@@ -25,7 +25,7 @@ fn tape(seed: u64) -> Vec<u8> {
     (0..TAPE).map(|_| byte()).collect()
 }
 
-/// The random cell of a seed; none if the compiler rejects it, or it has an extern task.
+/// The random cell of a seed; `None` if the compiler rejects it, or if it has an extern task.
 fn random_cell(seed: u64) -> Option<String> {
     let text = cells::cell(&tape(seed));
     if text.contains(" extern") {
@@ -69,7 +69,7 @@ fn runs_of_random_cells_are_paths_of_the_model() {
         let told = said.last_json();
         match said.code {
             Some(1 | 4 | 5) if told["path"] != true && told["complete"] == false => late += 1,
-            // A link took longer than its bound, and then the model promises nothing.
+            // A packet took longer than the bound of its link, and then the model promises nothing.
             _ if told["within_assumptions"] == false => late += 1,
             Some(0 | 1 | 5) if told["path"] == true => paths += 1,
             _ => panic!("seed {seed}: {said:?}\n{text}"),

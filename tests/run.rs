@@ -13,8 +13,8 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
-/// A cell of two tasks that meet and query each other through a third node, which only relays. Their time_outs exceed any
-/// delay of a process on a busy machine.
+/// A cell of two tasks that meet and query each other through a third node, which only relays packets. The tasks' time_outs are
+/// longer than any delay of a process on a busy machine.
 const RELAYED: &str = "\
 cell relayed;
 tick 1 msec;
@@ -76,7 +76,7 @@ impl Bench {
         Self::of(RELAYED)
     }
 
-    /// The cell of `new`, with time_outs of so many seconds.
+    /// The cell of `new`, with time_outs of this many seconds.
     pub fn that_waits(seconds: u32) -> Self {
         Self::of(&RELAYED.replace("time_out = 600 sec", &format!("time_out = {seconds} sec")))
     }
@@ -91,7 +91,7 @@ impl Bench {
         self.0.path().join("relayed.cell")
     }
 
-    /// Runs the cell until it ends by itself: `b` aborts when `a` does not come.
+    /// Runs the cell until it ends by itself: `b` aborts when `a` does not arrive.
     fn run(&self, args: &[&str]) -> Said {
         self.run_until(args, |_| false)
     }
@@ -118,10 +118,10 @@ fn exit<'a>(summary: &'a Value, name: &str) -> &'a Value {
 #[test]
 fn scripts_meet_and_ask_through_a_node_that_only_relays() {
     side_by_side([&["--format", "json"][..], &["--format", "json", "--in-process"]], |how: &[&str]| {
-        // The time_out is long enough for any machine. It is also how long `b` takes to give up at the end.
+        // The time_out is long enough for any machine. At the end of the run, `b` takes this long to give up.
         let said = Bench::that_waits(10).run(how);
         let summary = said.last_json();
-        // After `a` has ended, `b` waits for it until its time_out: its abort is the finding.
+        // After `a` has ended, `b` waits for `a` until the time_out. The abort of `b` is the finding.
         assert_eq!(said.code, Some(1), "{said:?}");
         assert!(said.err.contains("task `b` aborted: nobody came (line"), "{said:?}");
         assert!(!said.err.contains("task `a`"), "{said:?}");
@@ -158,7 +158,7 @@ fn a_run_says_when_only_servers_are_left_and_can_end_then() {
             (&"a".into(), &Value::Null),
             "{summary}"
         );
-        // A task whose node is gone for good does not end either.
+        // A task whose node is dead for good does not count as running either.
         let said = run_in(bench.0.path(), &[&idle[..], &["--kill", "na@1ms"]].concat());
         assert!(said.code == Some(0) && said.out.contains("only servers are left: b"), "{said:?}");
         let serves = SERVED.replace("run grip takes 10..20 msec;", "loop run grip takes 10..20 msec; end;");
@@ -190,11 +190,11 @@ fn what_every_node_recorded_under_loss_replays_bit_equal() {
 
 #[test]
 fn a_killed_node_and_a_cut_link_are_found_by_their_time_outs() {
-    // A node that is killed before it reported anything leaves no false release.
+    // A node that is killed before it has reported anything causes no false release.
     let faults =
         [&["--kill", "a@1ms"][..], &["--cut", "na--nm@0s+10m"], &["--kill", "nm@1ms", "--in-process"]];
     side_by_side(faults, |fault: &[&str]| {
-        // The run ends when the remaining tasks have given up.
+        // The run ends when the other tasks have given up.
         let said = Bench::that_waits(2).run(fault);
         assert_eq!(said.code, Some(1), "{said:?}");
         assert!(said.err.contains(" aborted: no"), "{said:?}");
@@ -307,7 +307,7 @@ fn an_interrupt_ends_all_nodes_and_gives_the_summary() {
     live.interrupt();
     let (summary, code, errors) = live.finish();
     assert_eq!(summary["nodes"].as_array().expect("nodes").len(), 3);
-    // After so short a run the verdicts on some checks may be unknown.
+    // After such a short run the verdicts on some checks may be unknown.
     assert!(is_well(code, &errors), "{errors}");
     wait_until("all nodes are gone", || pids.iter().all(|&pid| !is_alive(pid)));
 }
@@ -334,7 +334,7 @@ fn robots_that_reach_each_other_through_a_third_node_are_relayed() {
     });
 }
 
-/// One address and the run's token give access to the whole cell. Without the token a monitor only learns why it has none.
+/// A monitor that knows one address and the run's token sees the whole cell. Without the token it only learns why it may not look.
 #[test]
 fn nodes_are_watched_over_tcp() {
     let dir = runtime_dir();
@@ -377,9 +377,9 @@ fn names_of_nodes(sample: &str) -> Vec<String> {
 #[derive(Debug)]
 struct Thread {
     name: String,
-    /// The scheduling policy; 1 is SCHED_FIFO.
+    /// The number of the thread's scheduling policy; 1 is SCHED_FIFO.
     policy: String,
-    /// The real-time priority: higher values run first; 0 for ordinary threads.
+    /// The thread's real-time priority: higher values run first; 0 for ordinary threads.
     priority: u32,
     cores: String,
 }
@@ -393,7 +393,7 @@ impl Thread {
     }
 }
 
-/// Whether the observer thread is among these threads. A node starts it last.
+/// Whether the observer thread is among these threads. A node starts that thread last.
 fn are_watched(threads: &[Thread]) -> bool {
     threads.iter().any(|thread| thread.name == BEHIND[0])
 }
@@ -420,7 +420,7 @@ fn real_time_is_had_or_refused_with_what_to_do() {
         let args = ["run", cell.to_str().expect("UTF-8"), "--rt", "--for", "10m", "--format", "json"];
         let mut command = imrs(bench.0.path(), &args);
         if !rights {
-            // A user who lacks the rights was already refused in the first case.
+            // A user without the rights was already refused in the first case, so the test ends here.
             if !rustix::process::geteuid().is_root() {
                 return;
             }
@@ -510,7 +510,7 @@ mod extern_task;
 /// The environment variable that makes the test program run as the other process.
 const OTHER: &str = "IMRS_TEST_EXTERN_TASK";
 
-/// The body of a child process that the next test starts.
+/// The body of a child process. The next test starts that process.
 #[test]
 fn the_program_of_the_other_process() {
     if std::env::var_os(OTHER).is_some() {

@@ -9,7 +9,8 @@ use std::io::{BufRead, BufReader};
 use std::os::unix::process::ExitStatusExt;
 use std::process::{Command, Stdio};
 
-/// The cell of [`Bench`] with addresses for its two nodes, which are now neighbours, and their keys beside it.
+/// The cell of [`Bench`] with addresses for its two nodes, which are neighbours in this cell. The keys of the nodes are
+/// in the folder beside it.
 fn placed(bench: &Bench, host: Option<&str>) -> String {
     let cell = without_keys(bench, host);
     let made = run_in(bench.0.path(), &["keygen", &cell, "--force"]);
@@ -34,7 +35,7 @@ fn without_keys(bench: &Bench, host: Option<&str>) -> String {
 
 #[test]
 fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_next_incarnations() {
-    // A restarted node is held back as long as messages of its earlier incarnation may be in flight.
+    // A restarted node is held back for as long as messages to its earlier incarnation may still be in flight.
     let bench = Bench::that_waits(8);
     let cell = placed(&bench, None);
     let start = |node: &str| {
@@ -44,7 +45,7 @@ fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_
     for incarnation in 0..2 {
         let (b, a) = (start("nb"), start("na"));
         let a = a.finish();
-        // From now on the other node's task waits without a partner, so that node is interrupted.
+        // From now on the other node's task waits without a partner, so the test interrupts that node.
         b.interrupt();
         let b = b.finish();
         let summary = a.last_json();
@@ -93,11 +94,11 @@ fn a_node_without_a_place_to_run_is_told_what_is_missing() {
     }
 }
 
-/// If failed starts counted, 130 of them would make the real start look older than the last: its neighbours would ignore it
-/// without a word.
+/// If failed starts were counted, 130 of them would make the node's real start look older than the last one. Its
+/// neighbours would then ignore it without a word.
 #[test]
 fn failed_starts_count_nothing_and_the_real_one_is_heard() {
-    // A restarted node is held back as long as messages of its earlier incarnation may be in flight.
+    // A restarted node is held back for as long as messages to its earlier incarnation may still be in flight.
     let bench = Bench::that_waits(8);
     let cell = placed(&bench, None);
     let incarnation = bench.0.path().join("state/imrs/relayed/na.life");
@@ -156,7 +157,7 @@ fn a_node_that_has_lost_its_state_takes_a_later_incarnation_than_its_neighbour_r
     assert_eq!(a.code, Some(0), "{a:?}");
     assert_eq!(std::fs::read_to_string(&incarnation).expect("its state").trim(), "0");
     std::fs::remove_file(&incarnation).expect("its state is lost");
-    // nb still waits for na, and remembers its incarnation.
+    // nb still waits for na, and remembers na's incarnation.
     let mut again = start("na");
     let _started = again.json();
     assert_eq!(std::fs::read_to_string(&incarnation).expect("its state").trim(), "1");
@@ -252,7 +253,7 @@ fn a_node_with_keys_leaves_no_core_file() {
         shell.args(imrs.get_args()).args(how.split_whitespace()).current_dir(bench.0.path());
         shell.envs(imrs.get_envs().filter_map(|(name, value)| Some((name, value?))));
         let mut node = shell.stdout(Stdio::piped()).spawn().expect("it starts");
-        // Its first line comes once the node runs.
+        // The node prints its first line once it runs.
         let mut line = String::new();
         let mut out = BufReader::new(node.stdout.take().expect("a pipe"));
         out.read_line(&mut line).expect("a line");

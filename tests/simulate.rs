@@ -99,7 +99,7 @@ fn a_saved_finding_is_shown_again_of_its_own_cell_alone() {
     let other = run(&["simulate", TWICE, "--plan", &saved]);
     assert_eq!(other.code, Some(2), "{other:?}");
     assert!(other.err.contains("it was saved from the cell `token`, this is `twice`"), "{other:?}");
-    // The text is the same cell with one more declaration.
+    // This text is the same cell with one more declaration.
     let text = fs::read_to_string(cell).expect("a cell");
     let (_folder, changed) = file("changed.cell", &text.replacen("node n1;", "node n1; node spare;", 1));
     let other = run(&["simulate", &changed, "--plan", &saved]);
@@ -138,7 +138,7 @@ fn where_nothing_is_found_it_is_said_that_nothing_is_saved() {
 fn what_cannot_be_saved_is_shown_and_a_file_that_cannot_be_written_is_refused_before_the_runs() {
     let lost = "--> examples/faulty/part_placed_twice.cell:36:7";
     for verb in [&["simulate", TWICE, "--seed", "1", "--seeds", "50"][..], &["verify", TWICE]] {
-        // `/dev/full` stands for a full disk.
+        // Writing to `/dev/full` fails as on a full disk.
         let full = run(&[verb, &["--save", "/dev/full"]].concat());
         assert!(full.code == Some(2) && full.out.contains(lost), "{full:?}");
         assert!(full.err.contains("/dev/full: cannot be written: No space left"), "{full:?}");
@@ -345,7 +345,7 @@ fn ctrl_c_ends_it_with_what_it_has() {
     let conveyor = "examples/conveyor.cell";
     let (code, answer) = stopped(&["simulate", conveyor, "--seeds", "100000000", "--seed", "1"]);
     assert_eq!((code, &answer["complete"]), (Some(4), &false.into()), "{answer}");
-    // A batch of these runs takes minutes, and the command does not wait for its end.
+    // A batch of these runs takes minutes. The command must not wait for the end of the batch.
     let long = ["simulate", conveyor, "--seeds", "1000", "--seed", "1", "--steps", "1000000"];
     let (code, answer) = stopped(&long);
     assert_eq!((code, &answer["complete"]), (Some(4), &false.into()), "{answer}");

@@ -15,7 +15,7 @@ use std::path::PathBuf;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
-/// A cell of two tasks that meet for ever. A full pipe takes none of their lines.
+/// A cell of two tasks that meet for ever. A full pipe takes none of the lines about them.
 const MEETS: &str = "\
 cell meets;
 tick 1 msec;
@@ -45,7 +45,7 @@ struct Bench(tempfile::TempDir);
 /// A run whose output goes to a stream of the test.
 struct Running {
     child: Child,
-    /// An instant no later than the start of the run.
+    /// An instant before the start of the run.
     started: Instant,
 }
 
@@ -68,7 +68,7 @@ impl Bench {
         Running { child, started }
     }
 
-    /// Waits until both tasks have met.
+    /// Waits until both tasks have met once.
     fn until_they_met(&self) {
         wait_until("they meet", || {
             let said = run_in(self.0.path(), &["monitor", "--once", "--format", "json"]);
@@ -78,7 +78,7 @@ impl Bench {
 }
 
 impl Running {
-    /// The live processes of the nodes.
+    /// The processes of the nodes that still run.
     fn nodes(&self) -> Vec<u32> {
         let threads = std::fs::read_dir(format!("/proc/{}/task", self.child.id())).into_iter().flatten();
         let of = |thread: std::fs::DirEntry| std::fs::read_to_string(thread.path().join("children")).ok();
@@ -157,12 +157,12 @@ fn faults_come_and_ctrl_c_is_obeyed_though_nobody_reads() {
         wait_until("the other is stopped", || {
             run.nodes().is_empty() && !left.iter().any(|&pid| is_alive(pid))
         });
-        // Now the pipe is read, because the summary has waited for its reader.
+        // Now the test reads the pipe. The output contains the summary, because the summary has waited for its reader.
         let mut out = String::new();
         reader.read_to_string(&mut out).expect("text");
         let (said, _) = run.finish();
         assert_eq!(said.code, Some(0), "{said:?}");
-        // The launcher waits five seconds for its reader, and this test may be suspended for longer.
+        // The launcher waits five seconds for its reader, but this test may be suspended for longer.
         if said.err.contains("not read") {
             excused("the reader of the summary came too late");
             return false;
@@ -183,7 +183,7 @@ fn a_second_ctrl_c_ends_the_wait_for_the_reader() {
     wait_until("the nodes are stopped", || !nodes.iter().any(|&pid| is_alive(pid)));
     signal(run.child.id(), Signal::INT);
     let (said, _) = run.finish();
-    // On a busy machine reports of the nodes are still in their pipes: evidence is missing then.
+    // On a busy machine reports of the nodes are still in their pipes, so evidence is missing.
     assert!(matches!(said.code, Some(0 | 5)), "{said:?}");
 }
 
@@ -206,7 +206,7 @@ fn a_full_disk_ends_no_run_and_is_told() {
 fn nobody_waits_for_who_reads_the_complaints() {
     side_by_side([&[][..], &["--in-process"]], |how: &[&str]| {
         let bench = Bench::new();
-        // This file cannot be executed, so the node complains.
+        // This file cannot be executed, so the node complains about it.
         let gripper = bench.0.path().join("gripper");
         std::fs::write(&gripper, "no program").expect("a file");
         let action = format!("grip={}", gripper.display());

@@ -1,5 +1,5 @@
-//! Checks that the documents in `specs/` agree with the tree: everything that they name exists, and they contain what they
-//! must.
+//! Checks that the documents in `specs/` agree with the source tree: everything that a document names exists, and each
+//! document contains what it must.
 
 use crate::support::claims::settled;
 use std::collections::BTreeMap;
@@ -13,7 +13,7 @@ fn read(path: impl AsRef<Path>) -> String {
     fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-/// The paths of the documents from the root.
+/// The documents' paths, relative to the root of the repository.
 fn documents() -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> =
         ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "SECURITY.md"].map(PathBuf::from).into();
@@ -28,14 +28,14 @@ fn documents() -> Vec<PathBuf> {
     found
 }
 
-/// Whether `text` contains `word` without a letter, digit or underscore next to it.
+/// Whether `text` contains `word` as a whole word: without a letter, digit or underscore directly before or after it.
 fn has_word(text: &str, word: &str) -> bool {
     let joins = |c: char| c.is_alphanumeric() || c == '_';
     text.match_indices(word)
         .any(|(at, _)| !text[..at].ends_with(joins) && !text[at + word.len()..].starts_with(joins))
 }
 
-/// The spans between backquotes, outside of code blocks.
+/// The texts between backquotes. Text in code blocks is left out.
 fn quoted(text: &str) -> Vec<&str> {
     let mut in_block = false;
     let mut found = Vec::new();
@@ -49,7 +49,8 @@ fn quoted(text: &str) -> Vec<&str> {
     found
 }
 
-/// The rule or decision numbers in a text: `D54` for the letter D, with suffixes (`b` in `R64b`).
+/// The numbers of the rules or decisions that a text names. For the letter `D` such a name is `D54`. A number may have
+/// a suffix, such as `b` in `R64b`.
 fn numbers(text: &str, letter: char) -> Vec<String> {
     let words = text.split(|c: char| !c.is_alphanumeric());
     let digits =
@@ -77,7 +78,8 @@ fn every_file_and_name_of_the_trace_exists() {
     assert!(entries > 100, "only {entries} entries were found");
 }
 
-/// The part of a page of `specs/protocol` under this heading (without its rules and backquotes), if it has an executable block.
+/// The section of a page of `specs/protocol` under this heading, without its rules and backquotes. `None` if the
+/// section has no executable block.
 fn scenario<'a>(page: &'a str, heading: &str) -> Option<&'a str> {
     let mut parts = page.split("\n## ").skip(1);
     let part = parts.find(|part| {
@@ -87,10 +89,10 @@ fn scenario<'a>(page: &'a str, heading: &str) -> Option<&'a str> {
     (part.contains("```transcript\n") || part.contains("```wrong\n")).then_some(part)
 }
 
-/// A heading of an executable page, and the rules in it.
+/// A heading of an executable page, and the names of the rules under it.
 type Heading = (String, Vec<String>);
 
-/// The executable pages: path, text, headings.
+/// The executable pages. For each page: its path, its text, and its headings.
 fn scenarios() -> Vec<(PathBuf, String, Vec<Heading>)> {
     let pages = documents().into_iter().filter(|path| path.starts_with("specs/protocol"));
     let read_page = |path: PathBuf| {
@@ -129,7 +131,7 @@ fn every_scenario_names_rules_that_exist() {
     }
 }
 
-/// The last part of the trace maps each rule to the scenarios that name the rule. `IMRS_BLESS=1` writes that part.
+/// The last part of the trace lists, for each rule, the scenarios that name it. `IMRS_BLESS=1` writes that part of the file.
 #[test]
 fn the_trace_leads_from_each_rule_to_its_scenarios() {
     let mut by_rule: BTreeMap<(bool, u32, String), Vec<String>> = BTreeMap::new();
@@ -190,7 +192,7 @@ fn every_rule_of_the_paper_is_traced() {
     }
 }
 
-/// For each decision number, how many entries it has in all: lines of a list, and headings of records.
+/// For each decision number, how many entries the decision has: list items and headings of records together.
 fn decisions() -> BTreeMap<u32, usize> {
     let mut found = BTreeMap::new();
     for path in documents().iter().filter(|path| path.starts_with("specs/decisions")) {
@@ -281,8 +283,8 @@ fn the_page_of_claims_has_every_claim_and_no_other() {
     }
 }
 
-/// The page must show the present results of the checker. This is tested only for quick claims; `specs/claims.py` renews the
-/// page.
+/// The page must show the checker's present results. Only claims that are checked quickly are compared.
+/// `specs/claims.py` renews the page.
 #[test]
 fn the_page_of_claims_has_the_numbers_and_charts_of_the_checker() {
     let text = read("specs/claims.md");

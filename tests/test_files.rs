@@ -1,5 +1,5 @@
-//! Checks that every test file is compiled. Cargo does not discover test programs here, so a file that no `mod` names would
-//! be ignored silently.
+//! Checks that every test file is compiled. Cargo does not look for test programs here, so a file that no `mod`
+//! declares would be ignored silently.
 
 use crate::support::metadata;
 use serde_json::Value;
@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The root files of all test programs, and all `tests/` folders, according to cargo.
+/// The root files of all test programs, and all folders named `tests`, according to cargo.
 fn programs_and_folders() -> (Vec<PathBuf>, Vec<PathBuf>) {
     let metadata = metadata();
     let path = |value: &Value| PathBuf::from(value.as_str().expect("a path"));
@@ -21,7 +21,7 @@ fn programs_and_folders() -> (Vec<PathBuf>, Vec<PathBuf>) {
     (programs, folders)
 }
 
-/// All Rust files in a folder and its subfolders.
+/// All Rust files in a folder and in its subfolders.
 fn rust_files(folder: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry").path());
     let (folders, files): (Vec<_>, Vec<_>) = entries.partition(|path| path.is_dir());
@@ -29,20 +29,20 @@ fn rust_files(folder: &Path) -> Vec<PathBuf> {
     files.into_iter().filter(|path| path.extension().is_some_and(|e| e == "rs")).chain(below).collect()
 }
 
-/// The canonical form of a path.
+/// The canonical path of a file.
 fn whole(path: &Path) -> PathBuf {
     fs::canonicalize(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// The module name in a line `mod name;`, also with `pub` before it.
+/// The module's name in a line such as `mod name;` or `pub mod name;`.
 fn module(line: &str) -> Option<&str> {
     let (before, rest) = line.split_once("mod ")?;
     let visible = before.is_empty() || (before.starts_with("pub") && before.ends_with([' ', ')']));
     rest.strip_suffix(';').filter(|_| visible)
 }
 
-/// The files of a file's modules. The modules of a program's root, of a file named by `#[path]` and of `mod.rs` are beside the
-/// file. All others are in a folder with its name.
+/// The files of the modules that a file declares. They are in the same folder if the file is a program's root, is named
+/// by `#[path]`, or is a `mod.rs`. Otherwise they are in a folder with the file's name.
 fn modules(file: &Path, beside: bool) -> Vec<(PathBuf, bool)> {
     let text = fs::read_to_string(file).expect("a source file");
     let here = file.parent().expect("a folder");

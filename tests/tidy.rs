@@ -1,4 +1,4 @@
-//! Checks house rules of the sources, so that no reviewer has to check them.
+//! Checks rules of this project for its source files, so that no reviewer has to check them.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -9,9 +9,10 @@ const ROOMS: [&str; 15] = [
     "src", "tests", "examples", "protocol", "language", "wire", "model", "runtime", "client", "launch",
     "macros", "monitor", "benches", "fuzz", "testkit",
 ];
-/// Most lines of a file, and of a function.
+/// The largest permitted number of lines of a file, and of a function.
 const LONGEST: (usize, usize) = (400, 70);
-/// The exceptions: length, path, and the name of a function. This list only shrinks.
+/// The exceptions: each line has the permitted length, a path, and for a function also its name. Exceptions may be
+/// removed, but not added.
 const LONGER: &str = include_str!("tidy_longer.txt");
 
 /// Every Rust file of the workspace, with its text.
@@ -33,7 +34,8 @@ fn sources() -> Vec<(PathBuf, String)> {
     found
 }
 
-/// The number of lines of each function of a formatted file, by name. If several have the same name, the longest counts.
+/// For each function of a formatted file, its number of lines. If several functions have the same name, the longest one
+/// counts.
 fn functions(text: &str) -> BTreeMap<String, usize> {
     let lines: Vec<&str> = text.lines().collect();
     let mut found = BTreeMap::new();
@@ -124,7 +126,7 @@ const RETIRED: [&str; 30] = [
     "seat", "sight", "sights", "sitting", "station", "stations", "tale", "teller",
 ];
 
-/// The words of a name: `FirstLife`, `first_life` and `FIRST_LIFE` have the word `life`.
+/// The words of an identifier: `FirstLife`, `first_life` and `FIRST_LIFE` all contain the word `life`.
 fn words_of(name: &str) -> Vec<String> {
     let mut words = vec![String::new()];
     let mut before = '_';
@@ -140,7 +142,7 @@ fn words_of(name: &str) -> Vec<String> {
     words
 }
 
-/// The code of a file, without its comments and texts. Line numbers stay the same.
+/// The code of a file, without comments and string literals. All line numbers stay the same.
 fn code_of(text: &str) -> String {
     let (mut code, mut rest) = (String::new(), text);
     while let Some(letter) = rest.chars().next() {
@@ -181,7 +183,7 @@ fn no_name_of_the_code_has_a_retired_word() {
     let mut found = Vec::new();
     for (path, text) in sources() {
         let path = path.strip_prefix(ROOT).expect("a file of the workspace").to_path_buf();
-        // Tests and examples name ports of cells, such as `beat`.
+        // In tests and examples, names such as `beat` are ports of cells.
         if path.iter().any(|part| part == "tests" || part == "examples") {
             continue;
         }
@@ -194,7 +196,8 @@ fn no_name_of_the_code_has_a_retired_word() {
     assert!(found.is_empty(), "{} names, see specs/glossary.md: {found:#?}", found.len());
 }
 
-/// Parts of sentences that a first reader does not understand: they name no actor, or use a word of this project alone.
+/// Parts of sentences that a first-time reader does not understand: they do not name who acts, or they use words that
+/// only this project uses.
 const UNCLEAR: [&str; 11] = [
     "whoever",
     "what is left",
@@ -213,7 +216,7 @@ const UNCLEAR: [&str; 11] = [
 fn comments_name_their_actors() {
     let mut found = Vec::new();
     for (path, text) in sources() {
-        // This file lists these words, so it is left out.
+        // This file is not searched, because it contains the list of words.
         if path.ends_with("tests/tidy.rs") {
             continue;
         }
@@ -252,7 +255,7 @@ fn words_promise_no_more_than_is_so() {
         .map(|name| (PathBuf::from(name), fs::read_to_string(Path::new(ROOT).join(name)).expect(name)));
     for (path, text) in sources().into_iter().chain(texts) {
         for word in unwanted {
-            // A sentence that says that the claim is not made is allowed.
+            // A sentence may say that the claim is not made.
             let claims = text.lines().find(|l| l.contains(word) && !l.contains("no ") && !l.contains("not "));
             assert_eq!(claims, None, "{}", path.display());
         }

@@ -1,5 +1,5 @@
-//! Compares the Promela models of `specs/promela` with the checker: two tools and two descriptions must give the same verdicts
-//! and the same least numbers.
+//! Compares the Promela models of `specs/promela` with the checker. Each model is the twin of a claim of the checker: the two
+//! tools have separate descriptions of the protocol, and must find the same verdicts and the same least numbers.
 
 #[path = "../model/tests/support/spin.rs"]
 mod spin;
@@ -14,7 +14,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use verifier::{OPTIMISED, Twin};
 
-/// The confirmation rules: their names in the checker's claims, in the state machine, and in the Promela twin (D1).
+/// The rules for confirming a rendezvous. Each has its name in the checker's claims, in the state machine, and in the
+/// Promela twin (D1).
 const RULES: [(&str, Confirmation, &str); 4] = [
     ("no-confirmation", Confirmation::None, "NO_CONFIRMATION"),
     ("first-complete", Confirmation::FirstComplete, "FIRST_COMPLETE"),
@@ -22,12 +23,12 @@ const RULES: [(&str, Confirmation, &str); 4] = [
     ("pass-on", Confirmation::PassOn, "PASS_ON"),
 ];
 
-/// Whether SPIN can run. Without it these tests print that they were skipped; if everything is required they fail.
+/// Whether SPIN is installed. If it is not, these tests print that they were skipped, or fail if `IMRS_REQUIRE_ALL=1` is set.
 fn spin_is_here() -> bool {
     is_here(spin::missing(), "the Promela twins were NOT compared")
 }
 
-/// Whether the property of a twin holds.
+/// Whether SPIN finds that the property of a twin holds.
 fn holds(model: &str, definitions: &[&str]) -> bool {
     Twin::new(model, definitions).verdict().holds
 }
@@ -38,8 +39,8 @@ fn fails(scenario: &Arc<Scenario>) -> bool {
     found.violation.is_some()
 }
 
-/// Asserts that the twin strands a member with `least` lost packets, and not with one less. (The twin's budget means "at
-/// most".)
+/// Asserts that in the twin `least` lost packets can strand a member, and one packet less cannot. The budget of the
+/// twin means "at most this many lost packets".
 fn twin_strands_with(members: u32, rule: &str, least: u32) {
     let stranded = |losses: u32| {
         let definitions = [&format!("N={members}"), rule, &format!("LOSS={losses}"), "FORGET"];
@@ -73,7 +74,7 @@ fn as_many_lost_packets_strand_one_of_four() {
         return;
     }
     for ((name, confirmation, rule), least) in RULES.into_iter().zip([1, 2, 4, 4]) {
-        // Quick runs skip this rule, because it takes as long as `PassOn`, which every run checks.
+        // Quick runs skip this rule. It takes as long as the rule `PassOn`, which every run checks.
         if confirmation == Confirmation::EveryComplete && !is_whole() {
             continue;
         }
@@ -88,14 +89,13 @@ fn as_many_lost_packets_strand_one_of_four() {
     }
 }
 
-/// Tests that without reductions both descriptions have the same number of states.
+/// Tests that without reductions the twin and the checker's model have the same number of states.
 #[test]
 fn as_many_states_where_nothing_is_reduced() {
     if !spin_is_here() {
         return;
     }
-    // Under the other rules the states of the machine hold other facts than those of the twin, so their
-    // numbers differ.
+    // Under the other rules, the twin's states hold other facts than those of the state machine, so the numbers differ.
     for ((_, confirmation, rule), loss) in [(RULES[0], 0), (RULES[2], 1), (RULES[2], 2)] {
         let rules = Rules { confirmation, answer_late_arrivals: false, ..Rules::DEFAULT };
         let budget = Budget { loss, dup: 0, crash: 0 };
@@ -109,7 +109,7 @@ fn as_many_states_where_nothing_is_reduced() {
     }
 }
 
-/// Tests that the twin's reduction `FORGET` changes no verdict.
+/// Tests that the reduction `FORGET` of the twin changes no verdict.
 #[test]
 fn what_the_twin_forgets_changes_nothing() {
     if !spin_is_here() {
@@ -125,15 +125,15 @@ fn what_the_twin_forgets_changes_nothing() {
     }
 }
 
-/// Tests members with time_outs and retransmissions: with the least margin that holds, and with one tick less, both tools
-/// give the same verdict.
+/// Tests members with time_outs and retransmissions. Both tools must give the same verdict for the least margin that is
+/// safe, and for a margin one tick smaller.
 #[test]
 fn the_same_margin_keeps_all_or_none() {
     if !spin_is_here() {
         return;
     }
     let all = [(3, 1, true, 2), (2, 2, false, 4), (2, 1, false, 3), (3, 0, true, 1)];
-    // Quick runs check one case, because a verifier takes much longer to compile than to run.
+    // Quick runs check only one case, because compiling a verifier takes much longer than running it.
     let some = if is_whole() { &all[..] } else { &all[..1] };
     for &(members, losses, hurry, least) in some {
         for margin in least - 1..=least {
@@ -196,11 +196,12 @@ fn commands_are_handed_over_once() {
         compared += 1;
     }
     assert_eq!(compared, twins.len());
-    // Dedup entries must outlive every copy of an older command.
+    // The dedup entry of a command must be kept until no copy of an older command is under way.
     assert!(!holds("command.pml", &["FORGET_OLDER"]));
 }
 
-/// Tests how many lost packets leave the sender of a single command without an answer, if the receiver answers at once.
+/// Tests how many packets must be lost so that the sender of a single command gets no answer, if the receiver answers
+/// at once.
 #[test]
 fn as_many_lost_packets_leave_a_command_without_its_answer() {
     if !spin_is_here() {
@@ -228,15 +229,15 @@ fn as_many_lost_packets_leave_a_command_without_its_answer() {
         let least = (0..12).find(unanswered).expect("enough losses leave it without");
         assert_eq!(least, retry + 1, "each copy brings an answer of its own");
         assert!(twin_answers(least - 1, &["PROMPT"]) && !twin_answers(least, &["PROMPT"]));
-        // The receiver does not answer a copy that comes while the first one is unanswered. So with a slow receiver the
-        // loss of the one answer is enough.
+        // The receiver does not answer a copy that comes while the first one is unanswered. It sends only one answer if
+        // it is slow, so a single lost packet is enough.
         if retry == 2 {
             assert!(twin_answers(0, &[]) && !twin_answers(1, &[]));
         }
     }
 }
 
-/// A scenario of the take-over: lease, link delay, heartbeat period and drift, all in ticks.
+/// The numbers of a take-over: lease, link delay, heartbeat period and clock drift, all in ticks.
 #[derive(Clone, Copy, Debug)]
 struct TakeOver {
     lease: u32,
@@ -256,10 +257,11 @@ impl TakeOver {
         holds("takeover.pml", &definitions)
     }
 
-    /// The least time by which the take-over must come after the end of the lease, according to the twin.
+    /// The least time from the end of the lease to the take-over that is safe, according to the twin.
     fn least_margin(self) -> u32 {
         let least = (0..=self.lease).find(|margin| self.holds(self.lease + margin, &[])).expect("a margin");
-        // All smaller margins from 0 have failed. If 0 holds, a take-over before the end of the lease must still fail.
+        // All smaller margins have failed. If the margin 0 is safe, a take-over before the end of the lease must still
+        // be unsafe.
         assert!(least > 0 || !self.holds(self.lease - 1, &[]), "{self:?}");
         least
     }
@@ -270,7 +272,7 @@ const TAKE_OVERS: [(TakeOver, u32); 2] = [
     (TakeOver { lease: 8, delay: 2, every: 3, drift: 2 }, 2),
 ];
 
-/// Tests that the twin's margin equals the drift, and that the link delay adds nothing.
+/// Tests that the least margin of the twin equals the clock drift, and that the link delay adds nothing to it.
 #[test]
 fn the_margin_of_the_take_over() {
     if !spin_is_here() {
@@ -279,14 +281,14 @@ fn the_margin_of_the_take_over() {
     for (world, margin) in TAKE_OVERS {
         assert_eq!(world.least_margin(), margin, "{world:?}");
     }
-    // The checker finds the same least margin for the state machine, with equal bounds.
+    // The checker finds the same least margin for the state machine, with the same bounds.
     let report = settled("one-active");
     for (rule, drift) in [("default", 0), ("default, drift", 1)] {
         let verdict = report.claims.iter().find(|v| v.rule == rule).expect("a verdict");
         let twin = TakeOver { lease: 8, delay: 1, every: 2, drift }.least_margin();
         assert_eq!(verdict.found.least_safe_margin, Some(u64::from(twin)), "{rule}");
     }
-    // The property is not vacuous: leases are renewed, and the standby can take over.
+    // The property does not hold only because nothing happens: leases are renewed, and the standby can take over.
     let (world, _) = TAKE_OVERS[1];
     for reachable in ["RENEWED", "TAKEN"] {
         assert!(!world.holds(world.lease + world.drift, &[reachable]), "{reachable}");
@@ -305,8 +307,8 @@ fn plain_heartbeats_let_both_be_active() {
     }
 }
 
-/// Tests the least lease that never ends while both tasks are connected and nothing is lost. The next heartbeat after a
-/// round trip echoes an answer. The following echo comes a period later, and reaches the primary after a link delay.
+/// Tests the shortest lease that does not end while both tasks are connected and no packet is lost. After a round trip, the
+/// next heartbeat echoes an answer. The echo after that comes one period later, and reaches the primary after one link delay.
 #[test]
 fn the_least_lease_that_lasts() {
     if !spin_is_here() {

@@ -1,6 +1,6 @@
-//! Tests that two tasks which share a tool never act at the same time. Their nodes are killed, stopped and frozen, with and
-//! without the guards of their commands. The log of the tool shows which task acted when (D158). The actions are commands:
-//! `examples/actuator.rs`, run by this test program itself.
+//! Tests that two tasks which share a tool never act at the same time. The tasks' nodes are killed, stopped and frozen,
+//! with and without the guards of their commands. The log of the tool shows which task acted when (D158). The commands
+//! are `examples/actuator.rs`, which this test program itself runs.
 
 mod fault;
 mod freezer;
@@ -16,12 +16,12 @@ use std::thread;
 use tally::{Tally, Trials, tell};
 use trial::{Plan, trial};
 
-/// Number of trials that run at the same time, because trials wait more than they work.
+/// How many trials run at the same time. Trials mostly wait, so there can be more of them than processors.
 const ABREAST: usize = 8;
-/// From how many trials on a series is a long one. A long series has long faults, and comparisons of each fault.
+/// A series with more trials than this is a long one. It has longer faults, and comparisons for every fault.
 const MANY: u64 = 50;
 
-/// Runs the remaining trials, several at a time.
+/// Runs the planned trials, several at a time, and adds their results to the tally.
 fn carry_out(plans: &[Plan], tally: &Tally) {
     let next = AtomicUsize::new(0);
     thread::scope(|scope| {
@@ -35,7 +35,8 @@ fn carry_out(plans: &[Plan], tally: &Tally) {
     });
 }
 
-/// The comparisons of a series: three of faults that let a command go on; in a long series two of every fault.
+/// The comparisons of a series: trials in which only the guard limits the command. There are three, with faults after
+/// which a command goes on. A long series has two for every fault.
 fn comparisons(are_many: bool) -> Vec<Plan> {
     let faults = FAULTS.iter().filter(|fault| are_many || fault.lets_the_command_go_on());
     let faults: Vec<_> = faults.cycle().take(if are_many { 2 * FAULTS.len() } else { 3 }).collect();
@@ -64,16 +65,15 @@ fn nobody_acted_beside_another(trials: &Trials, count: u64) {
         assert_ne!(trial.check, "broken", "{trial:?}");
     }
     assert_eq!(trials.0.len() as u64, count);
-    // The bounds are given for 200 trials. If there are fewer trials, the same share of them must be
-    // conclusive.
+    // The least numbers below are for 200 trials. With fewer trials, the same share of them must be conclusive.
     let least = |of_200: u64| of_200 * count / 200;
     assert!(trials.count(|trial| trial.mid_action) >= least(100), "{}", trials.counts());
     assert!(trials.count(|trial| trial.guard_held) >= least(30), "{}", trials.counts());
     took_over(trials, least(if count > MANY { 150 } else { 100 }), count > MANY);
 }
 
-/// Asserts that the standby acted in at least so many trials. A short series on a busy machine is excused: if a primary
-/// loses its lease before the fault, the fault hits its standby instead, and no task takes over from a standby.
+/// Asserts that the standby acted in at least `least` trials. A short series on a busy machine is excused: if a primary
+/// loses its lease before the fault, the fault hits the standby that took over, and no task takes over from a standby.
 fn took_over(trials: &Trials, least: u64, is_asked: bool) {
     let (took_over, counts) = (trials.count(|trial| trial.took_over.is_some()), trials.counts());
     assert!(took_over >= least || !is_asked, "{counts}");
@@ -82,9 +82,9 @@ fn took_over(trials: &Trials, least: u64, is_asked: bool) {
     }
 }
 
-/// If only the guard limits the command, and the guard is stopped, this measurement finds two owners at a time. So it
-/// could have found them in the other trials, too, where it gives zero. In such runs the check is never reported as
-/// held.
+/// In a comparison only the guard limits the command. If that guard is stopped, the log must show two owners at a time.
+/// This proves that the other trials, in which the log shows none, would have shown two owners as well. The check must
+/// never be reported as held for such a comparison.
 fn two_owners_are_seen(comparisons: &Trials, are_many: bool) {
     let unbound = comparisons.0.iter().filter(|trial| trial.guard_held && trial.took_over.is_some());
     let unbound = unbound.filter(|trial| {
@@ -100,8 +100,8 @@ fn two_owners_are_seen(comparisons: &Trials, are_many: bool) {
     took_over(comparisons, 1, are_many);
 }
 
-/// Tests a primary that is suspended for longer than a take-over, several times. The checks must never count it as active
-/// beyond its lease.
+/// Tests, several times, a primary that is suspended for longer than a take-over. The checks must never count it as
+/// active after the end of its lease.
 #[test]
 fn a_stopped_owner_is_active_no_longer_than_its_lease() {
     let tally = Tally::open(None);
@@ -113,8 +113,8 @@ fn a_stopped_owner_is_active_no_longer_than_its_lease() {
     took_over(&trials, 1, false);
 }
 
-/// Runs a cell of one node with this script in a time namespace. `grip` is the command of the script's action. `None` if the
-/// machine has no such namespaces.
+/// Runs a cell with one node and this script in a time namespace. `grip` is the shell command for the script's action.
+/// `None` if the machine has no such namespaces.
 fn with_clocks_apart(offset: [&str; 2], script: &str, grip: &str, dir: &Path) -> Option<Said> {
     let cell = format!("cell waits;\ntick 1 msec;\nnode n;\ntask t on n\nbegin\n  {script}\nend t;\n");
     let (file, action) = (dir.join("waits.cell"), dir.join("grip.sh"));
@@ -135,12 +135,12 @@ fn with_clocks_apart(offset: [&str; 2], script: &str, grip: &str, dir: &Path) ->
     Some(finish(command))
 }
 
-/// The nodes' clock is far ahead of the clock by which the kernel sleeps, as after a suspend of a day.
+/// The nodes' clock is far ahead of the clock that the kernel uses for sleeping, as after a suspend of a day.
 #[test]
 fn a_machine_that_was_suspended_keeps_its_times() {
     let dir = runtime_dir();
     let seen = dir.path().join("guard.stat");
-    // The parent of the command is its guard.
+    // The parent process of the command is its guard.
     let grip = format!("sleep 1; cat /proc/$PPID/stat > {}", seen.display());
     let script = "delay 300 msec; delay 300 msec; run grip takes 0..60 sec;";
     let Some(said) = with_clocks_apart(["--boottime", "86400"], script, &grip, dir.path()) else { return };
@@ -150,12 +150,12 @@ fn a_machine_that_was_suspended_keeps_its_times() {
     let stat = std::fs::read_to_string(seen).expect("what the guard used");
     let (_, rest) = stat.rsplit_once(')').expect("a name");
     let spent = rest.split_whitespace().skip(11).take(2).map(|ticks| ticks.parse::<u64>().expect("ticks"));
-    // This is the guard's processor time, in hundredths of a second. The guard must not spin if its timer expires before the
-    // deadline.
+    // This is the guard's processor time, in hundredths of a second. The guard must not wait in a busy loop if its
+    // timer expires before the deadline.
     assert!(spent.sum::<u64>() < 30, "{stat}");
 }
 
-/// The nodes' clock is far behind. The deadline of a command is on the clock of the nodes.
+/// The nodes' clock is far behind the kernel's clock. The deadline of a command is a time on the nodes' clock.
 #[test]
 fn a_command_ends_at_its_deadline_where_the_clocks_are_apart() {
     let dir = runtime_dir();

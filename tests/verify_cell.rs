@@ -1,4 +1,4 @@
-//! End-to-end tests of `imrs verify CELL`, from a cell file to the answer.
+//! End-to-end tests of `imrs verify CELL`: each runs the command on a cell file and judges its answer.
 
 use crate::support::run;
 use std::path::PathBuf;
@@ -23,7 +23,7 @@ begin
 end teller;
 "#;
 
-/// Writes `PAIR` to a file, with `answer` in place of the answer of `teller`, and with the declarations `more` behind it.
+/// Writes `PAIR` to a file. `answer` replaces the answer of the task `teller`, and the declarations `more` are appended.
 fn cell(answer: &str, more: &str) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("pair.cell");
@@ -126,7 +126,7 @@ fn statements_for_faults_that_did_not_come_about_are_told_as_untried() {
     assert!(answer.out.contains("    asker 9:39  at := 0"), "{answer:?}");
 }
 
-/// The lines of the printed chart. They must fit a terminal of 80 columns.
+/// The lines of the chart that the command prints. They must fit a terminal of 80 columns.
 fn chart_of(out: &str) -> Vec<&str> {
     let from = out.lines().skip_while(|line| !line.starts_with("  tick  "));
     from.take_while(|line| !line.starts_with("  step by step")).collect()
@@ -227,7 +227,7 @@ fn a_cell_that_the_checker_cannot_look_at_is_not_checked_and_not_found_wrong() {
 
 #[test]
 fn a_search_that_is_cut_short_says_how_far_it_came() {
-    // This is less time than any machine needs.
+    // No machine finishes the search in this time.
     let answer = run(&["verify", "examples/shared_tool.cell", "--within", "1ms"]);
     assert_eq!(answer.code, Some(4), "{answer:?}");
     for told in [
@@ -288,8 +288,8 @@ fn a_finding_that_no_steps_lead_to_is_not_saved_and_that_is_said() {
     assert!(!answer.out.contains("step by step") && !saved.exists(), "{answer:?}");
 }
 
-/// A model tick longer than an action does not lengthen the action. Times that are not multiples of the tick are reported with
-/// the findings.
+/// A model tick that is longer than an action does not lengthen the action. If times are not multiples of the tick, the
+/// findings say so.
 #[test]
 fn the_model_tick_rounds_nothing() {
     let text = |tick: &str| {
@@ -317,7 +317,7 @@ fn the_model_tick_rounds_nothing() {
     assert!(found.out.contains("not confirmed: these findings may come from the rounding"), "{found:?}");
 }
 
-/// The JSON answer also lists the statements that the search left open.
+/// The JSON answer also lists the statements that the search did not reach.
 #[test]
 fn statements_that_were_not_reached_are_told_to_programs() {
     let json = |text: &str, more: &[&str]| -> serde_json::Value {
@@ -339,7 +339,7 @@ fn statements_that_were_not_reached_are_told_to_programs() {
     assert_eq!(lines(&said["not_exercised"]), [("asker".to_owned(), 9)], "{said}");
     assert_eq!((lines(&said["not_tried"]), lines(&said["not_seen"])), (none.clone(), none.clone()), "{said}");
     assert_eq!(said["outside"], serde_json::json!([]), "{said}");
-    // Only some answers of an extern task are tried, so some statements are not reached.
+    // The search tries only some of the answers of an extern task, so some statements are not reached.
     let (head, _) = sound.split_once("  var x: int8;").expect("the variable of the teller");
     let outside = format!(
         "{}end teller;\n",
@@ -350,8 +350,7 @@ fn statements_that_were_not_reached_are_told_to_programs() {
     let said = json(&outside, &[]);
     assert_eq!(lines(&said["not_tried"]), [("asker".to_owned(), 10)], "{said}");
     assert!(said["outside"].as_array().is_some_and(|values| values.contains(&0.into())), "{said}");
-    // A search does not explore what follows a finding that ends its path, so here the verdict on the check
-    // stays unknown.
+    // The search does not go on behind a finding that ends a path, so the verdict on the check stays unknown here.
     let failing = format!(
         "{}\ncheck c: always asker.at < 99;\n",
         sound.replace("assert at < 9;", "assert at < 7; skip;")
@@ -362,7 +361,8 @@ fn statements_that_were_not_reached_are_told_to_programs() {
     assert_eq!(lines(&said["not_exercised"]), none, "{said}");
 }
 
-/// A third robot is independent of the pair, so it is searched, drawn and saved as a part of its own.
+/// The third robot does not communicate with the pair. It is therefore searched, drawn and saved as a separate part of
+/// the cell.
 #[test]
 fn independent_parts_are_told_and_replayed_one_by_one() {
     let alone = "node n3 at \"10.0.0.3\";\ntask loner on n3\n  var n: int8;\nbegin\n\

@@ -54,12 +54,12 @@ pub enum Form {
     Json,
 }
 
-/// Whether every measured goal is met.
+/// Whether all measured goals are met.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// All goals are met, or `--gate` was not given.
+    /// All goals are met, or the user did not give `--gate`.
     Well,
-    /// A goal is not met, and `--gate` was given.
+    /// A goal is not met, and the user gave `--gate`.
     Missed,
 }
 
@@ -69,23 +69,23 @@ pub enum BenchError {
     /// There is no such suite.
     #[error("there is no suite `{name}`: {known}")]
     NoSuite {
-        /// The name that was given.
+        /// The name that the user gave.
         name: String,
-        /// The names that exist.
+        /// The names of the suites.
         known: String,
     },
     /// No case has this text in its name.
     #[error("no measurement has `{0}` in its name: `--list` names them all")]
     NoCase(String),
-    /// The page was not updated.
+    /// The page with the table was not updated.
     #[error(transparent)]
     Page(#[from] PageError),
-    /// The picture was not written.
+    /// The picture of the rows was not written.
     #[error("cannot write {path}: {source}")]
     Picture {
-        /// The picture.
+        /// The path of the picture.
         path: PathBuf,
-        /// The error of the system.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The output was not written.

@@ -56,7 +56,8 @@ pub fn unpin() -> bool {
     set(allowed().iter().copied())
 }
 
-/// Pins every present thread of the process to the first or the last allowed core, for libraries with threads of their own.
+/// Pins every present thread of the process to the first or the last allowed core. This is for libraries that start
+/// threads of their own.
 pub fn pin_all(core: Core) {
     let allowed = allowed();
     let at = if core == Core::First { allowed.first() } else { allowed.last() };
@@ -72,7 +73,7 @@ fn set_all(cores: &[usize]) {
     let threads = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
     for thread in threads {
         let id = thread.file_name().to_str().and_then(|name| name.parse().ok()).and_then(Pid::from_raw);
-        // A thread that has ended meanwhile needs no core.
+        // A thread that has ended since it was listed needs no core.
         let _ = id.map(|id| sched_setaffinity(Some(id), &of(cores.iter().copied())));
     }
 }
@@ -91,7 +92,7 @@ fn of(cores: impl IntoIterator<Item = usize>) -> CpuSet {
 
 /// Sets this thread's timer slack to 1 ns, as the runtime's threads do, so that its sleeps end on time.
 pub fn sleep_exactly() {
-    // Fails only on a kernel without this call.
+    // This fails only on a kernel without this call.
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
 }
 
@@ -100,7 +101,7 @@ pub fn sleep_exactly() {
 pub struct Sleeps(BTreeMap<OsString, u64>);
 
 impl Sleeps {
-    /// The count up to now.
+    /// How often each thread has slept up to now.
     #[must_use]
     pub fn now() -> Self {
         let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
@@ -115,7 +116,7 @@ impl Sleeps {
         Self(all.collect())
     }
 
-    /// How often the threads have slept since then. Threads that ended meanwhile do not count.
+    /// How often the threads have slept since this was counted. Threads that have ended since then do not count.
     #[must_use]
     pub fn since(&self) -> u64 {
         let before = |thread| self.0.get(thread).copied().unwrap_or_default();

@@ -1,8 +1,8 @@
 //! Measures in rounds: every case once, then every case again. A ratio compares two cases of one round, so that other load on
 //! the machine affects both. The result is the median of the rounds' ratios.
 //!
-//! A round of a case on two processors counts only if the distance between them did not change meanwhile. A row is
-//! decided only if its rounds agree ([`judge`](crate::judge)); otherwise it is measured again, at most [`AGAIN`]
+//! A round of a case on two processors counts only if the distance between the two did not change during the round. A
+//! row is decided only if its rounds agree ([`judge`](crate::judge)); otherwise it is measured again, at most [`AGAIN`]
 //! times.
 
 use crate::judge::{Outcome, judge};
@@ -10,19 +10,20 @@ use crate::sample::Sample;
 use crate::suite::{Case, Effort, Row, Stat, Suite};
 use crate::surroundings::{Apart, Surroundings};
 
-/// How often the rows that are not decided are measured again.
+/// How many times the rows that are not decided are measured again, at most.
 pub const AGAIN: u32 = 2;
-/// How often a case on two processors is tried in a round, until their distance is the same before and after it.
+/// How many times a case on two processors is tried in a round, at most, until their distance is the same before and
+/// after it.
 pub const TRIES: u32 = 3;
 
 /// One round of one case.
 #[derive(Clone, Copy, Debug, Default, serde::Serialize)]
 pub struct Round {
-    /// What was measured.
+    /// The measured values.
     #[serde(flatten)]
     pub sample: Sample,
-    /// How far apart the two processors were during the whole round. `None` for a case on one processor, and if the
-    /// distance changed in every try.
+    /// How far apart the two processors were during the whole round. `None` if the case runs on one processor, or if
+    /// the distance changed in every attempt.
     pub apart: Option<Apart>,
     /// The share of the processors that other programs took during the round, 0 to 1.
     pub others: f64,
@@ -35,7 +36,7 @@ pub struct Measured {
     pub name: String,
     /// What the case measures.
     pub about: &'static str,
-    /// Whether threads of it work on two processors at once.
+    /// Whether threads of the case run on two processors at once.
     pub on_two: bool,
     /// All rounds. If the case was measured again, only the rounds of the last measurement.
     pub rounds: Vec<Round>,
@@ -56,19 +57,19 @@ impl Measured {
     }
 }
 
-/// The median of some numbers, and their range.
+/// The median of some numbers, with the least and the greatest of them.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Spread {
-    /// The median.
+    /// The median of the numbers.
     pub median: f64,
-    /// The least.
+    /// The least of the numbers.
     pub least: f64,
-    /// The greatest.
+    /// The greatest of the numbers.
     pub most: f64,
 }
 
 impl Spread {
-    /// The spread of these numbers; none if there are none.
+    /// The spread of these numbers; `None` if there are none.
     #[must_use]
     pub fn of(mut values: Vec<f64>) -> Option<Self> {
         values.sort_unstable_by(f64::total_cmp);
@@ -94,8 +95,8 @@ pub struct Results {
     pub rows: Vec<Outcome>,
 }
 
-/// Measures a suite in `rounds` rounds, and then measures again the cases of rows that are not decided. Calls `tell`
-/// before each measurement of a case.
+/// Measures a suite in `rounds` rounds, and then measures the cases of undecided rows again. Calls `tell` before each
+/// measurement of a case.
 pub fn measure(
     suite: Suite,
     rounds: u32,
@@ -155,7 +156,7 @@ fn one_round(
     }
 }
 
-/// Runs a case. A case on two processors runs again if their distance changed meanwhile.
+/// Runs a case. A case on two processors runs again if their distance changed during the run.
 fn once(case: &Case, effort: Effort, here: &mut impl Surroundings) -> Round {
     if !case.on_two {
         return Round { sample: (case.run)(effort), ..Round::default() };
@@ -180,7 +181,7 @@ mod tests {
     use std::cell::{Cell, RefCell};
     use std::rc::Rc;
 
-    /// A simulated machine on which nothing else runs. The list has the distances of its processors, in the
+    /// A simulated machine on which no other program runs. The list has the distances of its two processors, in the
     /// order in which they are read.
     struct Given(Vec<Apart>);
 
@@ -195,7 +196,7 @@ mod tests {
 
     fn suite(order: &Rc<RefCell<Vec<char>>>) -> Suite {
         let mut suite = Suite::new("test");
-        // `b` takes twice the time of `a` in every round, although the machine gets slower.
+        // Case `b` takes twice the time of case `a` in every round, although the machine gets slower.
         let noise = Rc::new(Cell::new(1.0));
         for (name, factor) in [("a", 1.0), ("b", 2.0)] {
             let (order, noise) = (Rc::clone(order), Rc::clone(&noise));
@@ -229,8 +230,8 @@ mod tests {
         assert_eq!(results.cases[0].median(Stat::Mean), Some(9.0));
     }
 
-    /// A suite of one case on two processors. Its runs take these times in turn, and from the end of the list
-    /// on always the last one.
+    /// A suite of one case on two processors. The runs of the case take these times, one after the other. After the end
+    /// of the list every run takes the last time.
     fn varies(times: &[f64]) -> (Suite, Rc<Cell<usize>>) {
         let (mut suite, ran) = (Suite::new("varies"), Rc::new(Cell::new(0)));
         let (times, counted) = (times.to_vec(), Rc::clone(&ran));

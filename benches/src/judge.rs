@@ -1,4 +1,4 @@
-//! Judges a row by its rounds: which of them count, the ratio, and whether they decide anything.
+//! Judges a row by its rounds: which of the rounds count, which ratio they give, and whether they are enough for a decision.
 
 use crate::harness::{Measured, Round, Spread};
 use crate::sample::Sample;
@@ -16,14 +16,14 @@ pub const QUIET: f64 = 0.05;
 pub enum Why {
     /// The distance of the two processors was not the same in more than half of the rounds.
     Processors,
-    /// Other programs took more than [`QUIET`] in half of the rounds or more.
+    /// In half of the rounds or more, other programs took more than [`QUIET`].
     Busy,
     /// The ratios of the rounds differ by a factor of [`SPAN`] or more.
     Range,
 }
 
 impl Why {
-    /// The reason in a word or two, for tables.
+    /// The reason in one or two words, for tables.
     #[must_use]
     pub const fn text(self) -> &'static str {
         match self {
@@ -37,24 +37,23 @@ impl Why {
 /// The result of a row.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// The row.
+    /// The row that was judged.
     pub row: Row,
-    /// The ratios of the two cases, one for each round in which the processors had the distance of the row. `None` if a case was not
-    /// measured, or there was no such round.
+    /// The ratios of the two cases, one for each round in which the processors had the distance that this row uses.
+    /// `None` if a case was not measured, or if there was no such round.
     pub ratio: Option<Spread>,
-    /// How far apart the two processors were in these rounds, if the row is of two.
+    /// How far apart the two processors were in these rounds, if the row compares cases on two processors.
     pub apart: Option<Apart>,
-    /// From how many rounds the ratios come.
+    /// How many rounds gave the ratios.
     pub rounds: usize,
     /// How often the row was measured again.
     pub again: u32,
-    /// Why the row is not decided. `None` if it is decided, and for a row that was not measured.
+    /// Why the row is not decided. `None` if the row is decided, or was not measured.
     pub undecided: Option<Why>,
 }
 
 impl Outcome {
-    /// Whether the goal is met. A row that is not decided does not meet it; `None` if the row was not
-    /// measured.
+    /// Whether the goal is met. An undecided row does not meet its goal. `None` if the row was not measured.
     #[must_use]
     pub fn met(&self, slack: f64) -> Option<bool> {
         if self.undecided.is_some() {
@@ -72,7 +71,7 @@ pub fn judge(row: &Row, measured: &[Measured], again: u32) -> Outcome {
     let Some(subject) = named(&row.subject) else { return none };
     let Some(other) = row.other().map_or(Some(subject), named) else { return none };
     let mut pairs: Vec<Pair<'_>> = subject.rounds.iter().zip(&other.rounds).collect();
-    // If a sample has no such number, the row is not measured, however far apart the processors were.
+    // If a sample lacks the number that the row compares, the row is not measured, however far apart the processors were.
     if pairs.iter().any(|(subject, other)| ratio(row, &subject.sample, &other.sample).is_none()) {
         return none;
     }
@@ -101,7 +100,7 @@ pub fn judge(row: &Row, measured: &[Measured], again: u32) -> Outcome {
 
 type Pair<'a> = (&'a Round, &'a Round);
 
-/// The distance that both cases of a round had; a case on one processor has none and needs none.
+/// The distance of the processors that both cases of a round had. A case on one processor has no distance and needs none.
 fn place((subject, other): Pair<'_>, subject_on_two: bool, other_on_two: bool) -> Option<Apart> {
     match (subject_on_two, other_on_two) {
         (true, true) => subject.apart.filter(|apart| other.apart == Some(*apart)),

@@ -1,8 +1,8 @@
 //! Side-by-side measurements: the runtime against hand-written baselines (`floor/..`), and, with the features `peers` and
 //! `network-peers`, against libraries that people would use instead.
 //!
-//! Cases are measured in turns, round by round, and only ratios within one round are judged ([`harness`]), because absolute
-//! times on a shared machine vary by a factor of two. `specs/performance.md` says how to read the rows.
+//! Cases are measured in turns, round by round, and only ratios of values from one round are judged ([`harness`]),
+//! because absolute times on a shared machine vary by a factor of two. `specs/performance.md` explains the rows.
 #![forbid(unsafe_code)]
 
 pub mod cases;

@@ -1,11 +1,11 @@
-//! The facts about the machine that results show: cores, kernel, governor, build, load and date, and nothing else.
+//! The facts about the machine that the results show: cores, kernel, governor, build, load and date, and nothing else.
 
 use crate::cores;
 
-/// The facts that belong to every measurement.
+/// The facts that are shown with every measurement.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct Facts {
-    /// Cores that this process may use.
+    /// How many cores this process may use.
     pub cores: usize,
     /// The kernel's release.
     pub kernel: String,
@@ -13,7 +13,7 @@ pub struct Facts {
     pub governor: Option<String>,
     /// Whether the program was built without debug assertions.
     pub release: bool,
-    /// The day, in UTC.
+    /// The date in UTC.
     pub date: String,
     /// The kernel's load average over one minute: how busy the machine is.
     pub load: Option<f64>,
@@ -51,14 +51,14 @@ impl Facts {
     }
 }
 
-/// The day in UTC as `2026-01-31`.
+/// The present date in UTC as `2026-01-31`.
 fn today() -> String {
     let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
     let (year, month, day) = civil(i64::try_from(since.as_secs() / 86_400).unwrap_or_default());
     format!("{year}-{month:02}-{day:02}")
 }
 
-/// The date of a day counted from 1970-01-01 (Howard Hinnant's `civil_from_days`).
+/// The date of a day that is counted from 1970-01-01 (Howard Hinnant's `civil_from_days`).
 const fn civil(days: i64) -> (i64, i64, i64) {
     let days = days + 719_468;
     let era = days.div_euclid(146_097);

@@ -1,5 +1,5 @@
-//! The measurements as a program of their own. It counts memory, and with `--features peers,network-peers` it also measures
-//! the libraries that people would use instead.
+//! The measurements as a program of their own. This program also measures memory and, with `--features
+//! peers,network-peers`, the libraries that people would use instead.
 
 use clap::Parser;
 use imrs_bench::{BenchArgs, BenchError, Verdict, memory, run};

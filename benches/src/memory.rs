@@ -9,7 +9,7 @@ static COUNTING: AtomicBool = AtomicBool::new(false);
 static CALLS: AtomicU64 = AtomicU64::new(0);
 static BYTES: AtomicI64 = AtomicI64::new(0);
 
-/// The allocations during some work.
+/// The allocations while some work was done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Allocated {
     /// The number of allocations.
@@ -37,7 +37,7 @@ pub fn freed(bytes: usize) {
 pub fn counted<T>(work: impl FnOnce() -> T) -> (T, Option<Allocated>) {
     let before = (CALLS.load(Ordering::SeqCst), BYTES.load(Ordering::SeqCst));
     COUNTING.store(true, Ordering::SeqCst);
-    // This allocation shows whether the allocator reports.
+    // This allocation shows whether the program's allocator calls `allocated`.
     drop(std::hint::black_box(Box::new(0_u64)));
     let seen = CALLS.load(Ordering::SeqCst) - before.0;
     let done = work();

@@ -1,4 +1,4 @@
-//! The result of one measurement of a case.
+//! The result of one measurement of a case: a sample of times.
 
 use rustix::time::{ClockId, clock_gettime};
 use std::time::{Duration, Instant};
@@ -6,20 +6,20 @@ use std::time::{Duration, Instant};
 /// The distribution of the measured times, in nanoseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Sample {
-    /// The median.
+    /// The median of the times.
     pub p50: f64,
-    /// The 99th percentile.
+    /// The 99th percentile of the times.
     pub p99: f64,
-    /// The 99.9th percentile.
+    /// The 99.9th percentile of the times.
     pub p999: f64,
-    /// The mean.
+    /// The mean of the times.
     pub mean: f64,
-    /// A number that is not a time: bytes, allocations, sleeps. The case says which.
+    /// A number that is not a time: bytes, allocations or sleeps. The case says what it counts.
     pub count: Option<f64>,
 }
 
 impl Sample {
-    /// The distribution of times in nanoseconds, in any order. Each of them covers `group` operations.
+    /// The distribution of measured times in nanoseconds, given in any order. Each time covers `group` operations.
     #[must_use]
     pub fn of(mut nanos: Vec<u64>, group: u32) -> Self {
         nanos.sort_unstable();
@@ -38,7 +38,7 @@ impl Sample {
         Self { p50: at(0.5), p99: at(0.99), p999: at(0.999), mean, count: None }
     }
 
-    /// One time for all of `operations` operations.
+    /// The sample for one time that covers `operations` operations.
     #[must_use]
     pub fn of_all(elapsed: Duration, operations: u64) -> Self {
         let each = elapsed.as_nanos() as f64 / operations.max(1) as f64;
@@ -59,12 +59,13 @@ impl Sample {
     }
 }
 
-/// Times `operation`, `times` times. If an operation takes less than reading the clock, `group` of them share one reading.
+/// Runs `operation` `times` times and measures the times. If an operation takes less than reading the clock, `group`
+/// operations share one reading.
 pub fn each(times: u32, group: u32, mut operation: impl FnMut()) -> Sample {
     Sample::of(laps(times, group, &mut operation), group)
 }
 
-/// The times of [`each`] in nanoseconds, for callers that merge several lists.
+/// The times that [`each`] measures, in nanoseconds, for callers that merge several lists.
 pub fn laps(times: u32, group: u32, operation: &mut impl FnMut()) -> Vec<u64> {
     let mut nanos = Vec::with_capacity(times as usize);
     let mut before = Instant::now();

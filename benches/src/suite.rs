@@ -1,4 +1,4 @@
-//! Suites: cases to measure, and the bounds of their ratios.
+//! Suites: the cases to measure, and the bounds of their ratios.
 
 use crate::sample::Sample;
 use std::fmt;
@@ -6,17 +6,17 @@ use std::fmt;
 /// How much work each case does in a round.
 #[derive(Clone, Copy, Debug)]
 pub enum Effort {
-    /// Each case does this share of the operations of a full round.
+    /// Each case does this share of the operations that it does in a full round.
     Share(f64),
     /// Each case does this many operations, however many a full round has.
     Times(u32),
 }
 
 impl Effort {
-    /// A full round.
+    /// The effort of a full round.
     pub const FULL: Self = Self::Share(1.0);
 
-    /// The number of operations, if `full` is that of a full round; at least one.
+    /// The number of operations of a case; `full` is its number in a full round. At least one.
     #[must_use]
     pub fn of(self, full: u32) -> u32 {
         match self {
@@ -34,7 +34,7 @@ impl Effort {
     }
 }
 
-/// One measurement: sets everything up, measures, and takes everything down again.
+/// One measurement: it sets everything up, measures, and removes everything again.
 pub type Run = Box<dyn Fn(Effort) -> Sample>;
 
 /// A named measurement.
@@ -45,13 +45,13 @@ pub struct Case {
     pub about: &'static str,
     /// Measures once.
     pub run: Run,
-    /// Whether threads of the case work on two processors at once, so that its result depends on how near
-    /// these processors are to each other.
+    /// Whether threads of the case run on two processors at once, so that its result depends on how near these
+    /// processors are to each other.
     pub on_two: bool,
 }
 
 impl Case {
-    /// A case.
+    /// Makes a case that works on one processor, or on any.
     pub fn new(
         name: impl Into<String>,
         about: &'static str,
@@ -73,7 +73,7 @@ pub enum Stat {
     P999,
     /// The mean time.
     Mean,
-    /// The number that is not a time.
+    /// The number of the sample that is not a time.
     Count,
 }
 
@@ -103,30 +103,31 @@ impl Stat {
     }
 }
 
-/// What a case is compared with.
+/// What the statistic of a case, the subject of a row, is compared with.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Against {
     /// The subject's statistic is compared with the same statistic of another case.
     Case(String),
     /// The subject's statistic is compared with another statistic of the same case.
     Itself(Stat),
-    /// The same statistic of another case. The difference of the two, divided by this number of steps, is bounded.
+    /// The statistic is compared with the same statistic of another case: the difference of the two, divided by this
+    /// number of steps, is bounded.
     Above(String, u32),
-    /// The number is compared with nothing: it is bounded itself.
+    /// The statistic is not compared with another one: it is bounded itself.
     Nothing,
 }
 
-/// The bound of a row.
+/// The bound of a row's ratio.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Goal {
-    /// The subject takes at most this many times the time of the other.
+    /// The subject takes at most this many times the time of the other case.
     AtMost(f64),
-    /// The other takes at least this many times the time of the subject.
+    /// The other case takes at least this many times the time of the subject.
     AtLeast(f64),
 }
 
 impl Goal {
-    /// The ratio that the bound limits.
+    /// The ratio to which the bound applies.
     #[must_use]
     pub fn ratio(self, subject: f64, against: f64) -> Option<f64> {
         let (over, under) = match self {
@@ -155,24 +156,24 @@ impl fmt::Display for Goal {
     }
 }
 
-/// A goal: a case, what it is compared with, and the bound of their ratio.
+/// A row: a goal for a case, which says with what the case is compared, and the bound of the ratio.
 #[derive(Clone, Debug)]
 pub struct Row {
     /// The goal's number.
     pub id: &'static str,
     /// What is compared, in words.
     pub what: String,
-    /// The case.
+    /// The name of the case.
     pub subject: String,
-    /// The peer or baseline that the case is compared with.
+    /// The case of another library, or the baseline, with which the case is compared.
     pub against: Against,
-    /// The statistic of both.
+    /// The statistic of both cases that is compared.
     pub stat: Stat,
-    /// The bound.
+    /// The bound of the ratio.
     pub goal: Goal,
     /// The first bound of the goal, if another bound replaced it.
     pub was: Option<&'static str>,
-    /// Whether only rounds count in which other programs left the processors alone.
+    /// Whether a round counts only if other programs left the processors alone in it.
     pub quiet: bool,
 }
 
@@ -212,27 +213,27 @@ impl Row {
         Self { id, what, subject, against, stat, goal, was: None, quiet: false }
     }
 
-    /// The same row, which names the bound that this one replaced.
+    /// The same row, with the text of the bound that its present bound has replaced.
     #[must_use]
     pub const fn was(mut self, bound: &'static str) -> Self {
         self.was = Some(bound);
         self
     }
 
-    /// The same row, decided only by rounds in which other programs left the processors alone.
+    /// The same row, for which only those rounds count in which other programs left the processors alone.
     #[must_use]
     pub const fn when_quiet(mut self) -> Self {
         self.quiet = true;
         self
     }
 
-    /// Whether the goal needs this case.
+    /// Whether the row needs this case.
     #[must_use]
     pub fn has(&self, case: &str) -> bool {
         self.subject == case || self.other() == Some(case)
     }
 
-    /// The case that it is compared with.
+    /// The case with which the row's case is compared.
     #[must_use]
     pub fn other(&self) -> Option<&str> {
         match &self.against {
@@ -242,14 +243,14 @@ impl Row {
     }
 }
 
-/// Cases that are measured in turns, and the goals for their ratios.
+/// Cases that are measured in turns, and the rows for their ratios.
 #[derive(Default)]
 pub struct Suite {
     /// The suite's name.
     pub name: &'static str,
     /// The cases, measured in turns: A B C A B C.
     pub cases: Vec<Case>,
-    /// The goals.
+    /// The rows with the goals.
     pub rows: Vec<Row>,
 }
 

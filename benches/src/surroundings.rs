@@ -7,12 +7,12 @@ use crate::suite::Effort;
 use rustix::time::{ClockId, clock_gettime};
 use std::time::{Duration, Instant};
 
-/// Two processors are near if they pass a cache line there and back in at most this time. Two threads of one core take
-/// up to 80 ns on the machines seen so far, and two cores from 230.
+/// Two processors are near if they pass a cache line there and back in at most this time. On the machines seen so far,
+/// two threads of one core take up to 80 ns, and two cores at least 230 ns.
 pub const NEAR_NANOS: f64 = 130.0;
-/// How often the line is passed to see that.
+/// How often the cache line is passed to measure this time.
 const TRIPS: u32 = 64 * floors::GROUP;
-/// The length of a tick in `/proc/stat`, which does not depend on the kernel's own.
+/// The length of a tick in `/proc/stat`, which does not depend on the length of the kernel's own tick.
 const TICK: Duration = Duration::from_millis(10);
 
 /// How far the two processors are from each other.
@@ -26,7 +26,7 @@ pub enum Apart {
 }
 
 impl Apart {
-    /// The word for tables.
+    /// The word for the distance in tables.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -35,22 +35,22 @@ impl Apart {
         }
     }
 
-    /// The distance that follows from the time for which a cache line goes there and back.
+    /// The distance that follows from the time that a cache line takes there and back, in nanoseconds.
     #[must_use]
     pub fn of(nanos: f64) -> Self {
         if nanos <= NEAR_NANOS { Self::Near } else { Self::Far }
     }
 }
 
-/// Looks at the machine during a measurement.
+/// Observes the machine during a measurement.
 pub trait Surroundings {
-    /// How far the two processors are from each other now; none if there is only one.
+    /// How far the two processors are from each other now; `None` if there is only one.
     fn apart(&mut self) -> Option<Apart>;
     /// The share of the processors that other programs, and other machines, took since the last call: 0 to 1.
     fn others(&mut self) -> f64;
 }
 
-/// The machine itself.
+/// The machine on which this program runs.
 #[derive(Debug)]
 pub struct Here {
     at: Instant,
@@ -59,7 +59,7 @@ pub struct Here {
 }
 
 impl Here {
-    /// The machine from now on.
+    /// Begins to observe the machine.
     #[must_use]
     pub fn now() -> Self {
         Self { at: Instant::now(), all: all(), own: own() }
@@ -89,7 +89,7 @@ fn all() -> Duration {
 }
 
 fn busy(stat: &str) -> Duration {
-    // user nice system idle iowait irq softirq steal
+    // The numbers in this line are: user nice system idle iowait irq softirq steal.
     let numbers = stat.lines().next().unwrap_or_default().split_whitespace().skip(1);
     let ticks: Vec<u32> = numbers.filter_map(|number| number.parse().ok()).collect();
     let of = |at: usize| ticks.get(at).copied().unwrap_or_default();

@@ -14,7 +14,7 @@ pub enum CellFileError {
     /// The name belongs to a folder.
     #[error("{}: this is a folder: name one cell file in it", .0.display())]
     Folder(PathBuf),
-    /// The name belongs to a pipe, a device or the like: reading it might never end.
+    /// The name belongs to a pipe, a device or a socket: reading it might never end.
     #[error("{}: not a regular file: name a cell file, or `-` for standard input", .0.display())]
     NotAFile(PathBuf),
     /// The file is larger than a cell file may be.
@@ -25,7 +25,7 @@ pub enum CellFileError {
     NotText {
         /// The file that is not text.
         path: PathBuf,
-        /// A text that says where in the file the first bytes are that are not UTF-8.
+        /// A text that says where in the file the first bytes are that are no UTF-8.
         message: String,
     },
     /// The operating system cannot read the file.
@@ -60,7 +60,7 @@ pub fn read(path: &Path) -> Result<Source, CellFileError> {
         FileError::Folder => CellFileError::Folder(own()),
         FileError::NotAFile => CellFileError::NotAFile(own()),
         FileError::Io(source) if source.kind() == io::ErrorKind::NotFound => CellFileError::Missing(own()),
-        // Standard input may be a folder.
+        // Standard input may be connected to a folder.
         FileError::Io(source) if source.kind() == io::ErrorKind::IsADirectory => CellFileError::Folder(own()),
         other => CellFileError::Unreadable { path: own(), source: other.into() },
     })?;

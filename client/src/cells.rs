@@ -27,7 +27,7 @@ pub enum CellError {
 pub struct Loaded {
     /// The cell; its ticks are microseconds.
     pub table: Arc<CellTable>,
-    /// The script of each task; none for an extern task, whose body is a Rust program.
+    /// The script of each task; `None` for an extern task, whose body is a Rust program.
     pub scripts: Vec<Option<Box<Script>>>,
     /// The declared address of each node.
     pub addresses: Vec<Address>,
@@ -37,7 +37,7 @@ pub struct Loaded {
     pub source: Source,
 }
 
-/// Reads and compiles the cell of a file; `paper` as in [`Options`].
+/// Reads and compiles the cell of a file. `paper` is explained at [`Options`].
 ///
 /// # Errors
 /// [`CellError`].
@@ -45,7 +45,7 @@ pub fn open(path: &Path, paper: bool) -> Result<Loaded, CellError> {
     compile(cell_file::read(path)?, &cell_file::shown(path), paper)
 }
 
-/// Compiles the cell of a text; `name` stands for its file in diagnostics.
+/// Compiles the cell of a text. Diagnostics show `name` as its file.
 ///
 /// # Errors
 /// [`CellError::Text`].
@@ -92,25 +92,25 @@ impl Loaded {
         Some(&self.script(task)?.program)
     }
 
-    /// The digest of the scripts of these tasks; zero if there are none.
+    /// The digest of the scripts of these tasks; zero if none of them has a script.
     pub fn statements_of(&self, tasks: impl Iterator<Item = TaskId>) -> u32 {
         statements(tasks.filter_map(|task| Some((task, &**self.program(task)?))))
     }
 
-    /// The digest of the scripts of all nodes; zero if there are none. Nodes with different digests refuse each other. An
-    /// extern task has no part in it, so both nodes must declare the task `extern`.
+    /// The digest of the scripts of all nodes; zero if there are no scripts. Nodes with different digests refuse each
+    /// other. An extern task does not enter the digest, so the cells of both nodes must declare the task `extern`.
     #[must_use]
     pub fn all_statements(&self) -> u32 {
         self.statements_of((0..self.scripts.len()).map(TaskId::from_index))
     }
 
-    /// The names of all actions.
+    /// The names of all actions of the cell.
     pub fn actions(&self) -> impl Iterator<Item = &str> {
         self.all_actions().map(|action| action.name.as_str())
     }
 
     /// For each action, the range from which a simulated result is drawn: the declared range if there is one; otherwise
-    /// the values with which the cell compares the result; without these a small default range.
+    /// the range of the values with which the cell compares the result; without such values, a small default range.
     #[must_use]
     pub fn results(&self) -> Vec<Results> {
         let mut results: BTreeMap<&str, (i64, i64, bool)> = BTreeMap::new();
@@ -118,8 +118,8 @@ impl Loaded {
             if let Some((least, most)) = range(action) {
                 let real = action.result == Some(Type::Real);
                 let known = results.entry(&action.name).or_insert((least, most, real));
-                // Statements with the same action share the intersection of their ranges, or the smallest range that covers
-                // both if they do not overlap.
+                // Statements with the same action share the intersection of their ranges. If the ranges do not overlap,
+                // they share the smallest range that covers all of them.
                 let common = (known.0.max(least), known.1.min(most));
                 let all = (known.0.min(least), known.1.max(most));
                 let (least, most) = if common.0 <= common.1 { common } else { all };
@@ -143,7 +143,7 @@ impl Loaded {
     }
 }
 
-/// The least and the greatest result of an action.
+/// The range of an action's results: the least and the greatest.
 fn range(action: &Action) -> Option<(i64, i64)> {
     // The bounds for a `real` are the whole numbers below and above its value.
     let around = |&value: &i64| match action.result {

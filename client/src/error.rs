@@ -52,12 +52,12 @@ pub enum ProgramError {
     /// The extern task runs on a node of this program, and has no body.
     #[error("task `{0}` is extern and was given no body: call `task(\"{0}\", …)`")]
     NoBody(String),
-    /// Nothing authenticates the packets of the node.
+    /// Neither keys nor another means authenticate the packets of the node.
     #[error(
         "node `{0}` has no keys, and without them other processes could forge its packets: `imrs keygen CELL` makes them beside the cell file; call `keys(…)` if they are elsewhere, or `insecure()` for all nodes on a network of your own"
     )]
     NoKeys(String),
-    /// The observer address is reachable from other machines, and no token is required of monitors.
+    /// The observer's address is reachable from other machines, and monitors need no token.
     #[error(
         "monitors at {0}: any machine that reaches this address could watch, because no token is asked for; call `observe_token(…)`, or take a loopback address"
     )]
@@ -65,7 +65,7 @@ pub enum ProgramError {
     /// The text is not a valid token.
     #[error(transparent)]
     Token(#[from] TokenError),
-    /// The node cannot run on its own: it has no address, or runs already, or cannot store its incarnation.
+    /// The node cannot run on its own: for example, it has no address, it runs already, or its incarnation cannot be stored.
     #[error(transparent)]
     Place(#[from] PlaceError),
     /// The UDP socket of the node cannot be opened.
@@ -121,7 +121,7 @@ pub enum PlaceError {
         /// The error of the operating system.
         source: io::Error,
     },
-    /// The incarnation of the node cannot be stored.
+    /// The incarnation of the node cannot be stored on the disk.
     #[error("cannot remember in {path} that the node ran: {source}")]
     Unstored {
         /// The file in which the incarnation should be stored.
@@ -136,18 +136,18 @@ pub enum PlaceError {
     Runs {
         /// The node that already runs.
         node: String,
-        /// The id of the process that runs it.
+        /// The id of the process that runs the node.
         process: String,
     },
     /// The keys of the node cannot be used.
     #[error("the keys {}: {why}; `imrs keygen` makes keys", path.display())]
     Keys {
-        /// The file.
+        /// The file of the keys.
         path: PathBuf,
-        /// Why.
+        /// The reason, as text.
         why: String,
     },
-    /// No keys can be made.
+    /// The operating system does not let this program make new keys.
     #[error("no keys can be made: {0}")]
     NoNewKeys(String),
     /// There is no folder in which the incarnation can be stored.

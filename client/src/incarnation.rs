@@ -1,8 +1,8 @@
 //! Counts the incarnations of a node that runs on its own (D49, D145).
 //!
-//! The node binds its socket, locks its state, asks its neighbours, counts, and syncs the count to disk; only then does it send
-//! packets. So a failed start consumes no incarnation. A node that lost its state takes an incarnation that its neighbours do
-//! not consider old.
+//! The node binds its socket, locks its state, asks its neighbours which incarnation of it they remember, counts, and
+//! syncs the count to disk. Only then does it send packets. So a failed start consumes no incarnation. A node that lost
+//! its state takes an incarnation that its neighbours do not consider old.
 
 use crate::cells::Loaded;
 use crate::error::PlaceError;
@@ -27,11 +27,11 @@ const ASK_WITHIN: Duration = Duration::from_secs(1);
 /// How long a node waits for its lock. Another process that only asks whether the node runs holds the lock for a
 /// moment.
 const LOCK_WITHIN: Duration = Duration::from_millis(50);
-/// Interval between attempts to lock.
+/// The time between two attempts to take the lock.
 const LOCK_EVERY: Duration = Duration::from_millis(5);
 
-/// The stored incarnation of a node: `$XDG_STATE_HOME/imrs/<cell>/<node>.life`. As long as this value exists, it holds the
-/// lock on the file `<node>.lock` beside it, in which the id of this process stands.
+/// The stored incarnation of a node: `$XDG_STATE_HOME/imrs/<cell>/<node>.life`. As long as this value exists, it holds
+/// the lock on the file `<node>.lock` in the same folder. That file contains the id of this process.
 #[derive(Debug)]
 pub struct State {
     folder: PathBuf,
@@ -48,13 +48,13 @@ pub struct Counted {
     pub incarnation: Incarnation,
     /// Whether an earlier incarnation may have taken requests.
     pub restarted: bool,
-    /// What the operator should know: neighbours remember a later incarnation than this machine, or none answers.
+    /// A notice for the operator: neighbours remember a later incarnation than this machine, or no neighbour answers.
     pub notice: Option<String>,
 }
 
 /// Binds the socket of a node that runs on its own, sets the addresses of its neighbours, and counts its next
-/// incarnation. The count comes after the socket, so that a start without a socket consumes none (D145). `keys` encrypt
-/// and authenticate its datagrams.
+/// incarnation. The count comes after the socket, so that a start without a socket consumes no incarnation (D145).
+/// `keys` encrypt and authenticate the node's datagrams.
 ///
 /// # Errors
 /// [`UdpError`]: the address cannot be bound. [`PlaceError`]: the node runs already, its incarnation cannot be stored, or a
@@ -92,7 +92,7 @@ where
     Ok((link, counted))
 }
 
-/// Counts the next incarnation of the node that `link` was bound for and whose neighbours it knows.
+/// Counts the next incarnation of the node for which `link` was bound. `link` must know the node's neighbours.
 fn count(link: &UdpLink, cell: &str, node: &str) -> Result<Counted, PlaceError> {
     let state = State::lock(cell, node)?;
     let before = state.read()?;
@@ -119,8 +119,8 @@ fn count(link: &UdpLink, cell: &str, node: &str) -> Result<Counted, PlaceError> 
     Ok(Counted { state, incarnation, restarted, notice })
 }
 
-/// The incarnation after the stored one and after all that neighbours remember, and whether the neighbours were ahead of the
-/// stored one.
+/// The incarnation after the stored incarnation and after all incarnations that neighbours remember. Also returns
+/// whether a neighbour remembers a later incarnation than the stored one.
 fn next(before: Option<Incarnation>, remembered: &[Incarnation]) -> (Incarnation, bool) {
     let after = |Incarnation(number): Incarnation| Incarnation(number.wrapping_add(1));
     // A node without stored state has no count of its own. If a neighbour that does not answer now remembers a later
@@ -141,7 +141,7 @@ impl State {
         Self::lock_in(Self::folder(cell)?, node)
     }
 
-    /// Fails if another process has locked the node. Changes nothing.
+    /// Fails if another process has locked the node. Changes nothing on the disk.
     ///
     /// # Errors
     /// [`PlaceError`]: another process holds the lock, or there is no folder for the state.
@@ -164,7 +164,7 @@ impl State {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
             Err(error) => return Err(failed(error)),
         };
-        // The lock is shared, so that processes that only ask do not block each other.
+        // The lock is shared, so that two processes that only ask whether the node runs do not block each other.
         match flock(&lock, FlockOperation::NonBlockingLockShared) {
             Ok(()) => Ok(()),
             Err(Errno::WOULDBLOCK) => Err(runs(&mut lock, node).map_err(failed)?),
@@ -214,7 +214,7 @@ impl State {
         }
     }
 
-    /// Stores an incarnation atomically; it is on disk when this returns.
+    /// Stores an incarnation atomically. It is on the disk when this returns.
     fn write(&self, Incarnation(number): Incarnation) -> Result<(), PlaceError> {
         let new = self.path.with_extension("life.new");
         let written = File::create(&new).and_then(|mut file| {
@@ -268,8 +268,8 @@ mod tests {
         let refused = lock("n/1").unwrap_err().to_string();
         assert!(refused.contains(&format!("process {}", std::process::id())), "{refused}");
         drop((state, lock("other").unwrap()));
-        // Wait, because a child process of another test may hold this process's open files, and with them the lock, until it
-        // executes its program.
+        // This waits, because a child process of another test may hold this process's open files, and with them the
+        // lock, until it executes its program.
         let end = Instant::now() + Duration::from_secs(100);
         while let Err(error) = asked("n/1") {
             assert!(Instant::now() < end, "{error}");

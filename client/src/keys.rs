@@ -1,4 +1,5 @@
-//! The key files of a cell's nodes (D191): one for each node, with its own key, the public keys of the others, and the cell's key.
+//! The key files of a cell's nodes (D191): one file for each node, with its own private key, the public keys of the
+//! other nodes, and the cell's key.
 //!
 //! ```text
 //! imrs-keys 1
@@ -25,25 +26,25 @@ use zeroize::Zeroizing;
 /// The text of a key file. It is erased from memory when it is dropped.
 pub type KeyText = Zeroizing<String>;
 
-/// The first line of each file.
+/// The first line of each key file.
 const FIRST: &str = "imrs-keys 1";
-/// Most bytes of a file: more than the keys of all nodes that a cell can have.
+/// The greatest length of a key file, in bytes: more than the keys of all nodes that a cell can have.
 const LONGEST: u64 = 1 << 20;
 
-/// The folder in which a cell's keys are kept unless another is named: `line.keys` beside `line.cell`.
+/// The folder in which a cell's keys are kept unless the user names another folder: `line.keys` beside `line.cell`.
 #[must_use]
 pub fn beside(cell: &Path) -> PathBuf {
     cell.with_extension("keys")
 }
 
-/// The file of a node in a folder of keys.
+/// The path of a node's key file in a folder of keys.
 #[must_use]
 pub fn file_of(folder: &Path, node: &str) -> PathBuf {
     folder.join(format!("{}.keys", file_name(node)))
 }
 
-/// Draws keys for a cell. Returns the text of the file of each node, in the order of the nodes. The memory of this process is
-/// private from now on.
+/// Draws keys for a cell. Returns the text of each node's key file, in the order of the nodes. The memory of this
+/// process is private from now on.
 ///
 /// # Errors
 /// [`PlaceError::NoNewKeys`].
@@ -74,10 +75,11 @@ fn drawn(loaded: &Loaded) -> Result<Vec<KeyText>, NoRandom> {
     Ok((0..nodes.len()).map(text).collect())
 }
 
-/// Reads the keys of a node from a folder, also as the text of their file. The memory of this process is private from now on.
+/// Reads the keys of a node from its key file in a folder. Also returns the text of the file. The memory of this
+/// process is private from now on.
 ///
 /// # Errors
-/// [`PlaceError::Keys`]: there is no such file, others can read it, or it is none of this node.
+/// [`PlaceError::Keys`]: there is no such file, others can read it, or it contains no keys of this node.
 pub fn read(folder: &Path, loaded: &Loaded, node: NodeId) -> Result<(KeyText, NodeKeys), PlaceError> {
     let path = file_of(folder, &loaded.table.cell().nodes[node.index()].name);
     let failed = |why: String| PlaceError::Keys { path: path.clone(), why };
@@ -88,10 +90,10 @@ pub fn read(folder: &Path, loaded: &Loaded, node: NodeId) -> Result<(KeyText, No
     Ok((text, keys))
 }
 
-/// The keys of a node in the text of its file. The memory of this process is private from now on.
+/// Reads the keys of a node from the text of its key file. The memory of this process is private from now on.
 ///
 /// # Errors
-/// Why these are no keys of this node.
+/// Says why the text contains no keys of this node.
 pub fn parse(text: &str, loaded: &Loaded, node: NodeId) -> Result<NodeKeys, String> {
     make_memory_private()?;
     let keys = lines(text, loaded, &loaded.table.cell().nodes[node.index()].name)?;
@@ -103,8 +105,8 @@ pub fn parse(text: &str, loaded: &Loaded, node: NodeId) -> Result<NodeKeys, Stri
     })
 }
 
-/// From now on no core file or core handler gets the memory of this process, and no process of the same user may read it or
-/// attach to it (`prctl(2)`, PR_SET_DUMPABLE). A command that this process starts is free of that.
+/// From now on no core file or core handler gets the memory of this process, and no process of the same user may read
+/// it or attach to it (`prctl(2)`, PR_SET_DUMPABLE). This does not apply to a command that this process starts.
 fn make_memory_private() -> Result<(), String> {
     set_dumpable_behavior(DumpableBehavior::NotDumpable)
         .map_err(|error| format!("core files cannot be switched off: {error}"))

@@ -1,8 +1,8 @@
-//! For robot programs: runs nodes of a cell file, with Rust functions for the actions of their scripts and for their
+//! Runs nodes of a cell file in a robot's program, with Rust functions for the actions of their scripts and for their
 //! `extern` tasks.
 //!
-//! A cell file declares the nodes of a cell, their tasks and ports, and all times. A task is a script in that file, or
-//! `extern`: then a [`Program`] gives it a Rust function. `imrs check` and `imrs verify` look at the same file before it runs.
+//! A cell file declares the nodes of a cell, their tasks and ports, and all times. A task is a script in that file, or it is
+//! `extern`: then a [`Program`] gives it a Rust function. `imrs check` and `imrs verify` check the same file before it runs.
 //!
 //! ```
 //! use imrs_client::{Context, Program, TaskEnd, TaskError};
@@ -52,10 +52,10 @@
 //! # }
 //! ```
 //!
-//! Both nodes run as threads of that program. On the robots each program runs one of them:
-//! [`node("nc")`](Program::node), over UDP at the address in the cell. A node of scripts alone needs no program:
-//! `imrs run vision.cell --node np`. Both take the keys that `imrs keygen vision.cell` makes beside the cell file, so that no
-//! other process can read or forge what they send.
+//! Both nodes run as threads of that program. On the robots each program runs one node: [`node("nc")`](Program::node),
+//! over UDP at the address in the cell. A node of scripts alone needs no program: `imrs run vision.cell --node np`.
+//! Both take the keys that `imrs keygen vision.cell` makes beside the cell file, so that no other process can read or
+//! forge what they send.
 //!
 //! # Which crate to link
 //!
@@ -66,14 +66,14 @@
 //! | checks, shows or replays cells | no crate: it starts the command `imrs` |
 //!
 //! This crate brings the compiler of the cell language and the runtime, and no model checker, terminal or command-line
-//! parser. The package `imrs`, which is the command, re-exports all of it. The types of `imrs-runtime` are the same in both:
-//! a program may link `imrs-runtime` too, for futures, handlers and typed messages.
+//! parser. The package `imrs`, which is the command, re-exports this whole crate. The types of `imrs-runtime` are the
+//! same in both crates: a program may link `imrs-runtime` too, for futures, handlers and typed messages.
 //!
 //! # Units
 //!
 //! Lengths of time are [`Duration`](std::time::Duration)s here; in the cell file they have a unit. The arguments and results
-//! of actions are whole numbers in the units of the cell, a `real` is passed as its 32 bits ([`f32::to_bits`]), a `bool` as 0 or
-//! 1. Messages are bytes: the fields of the port's format one after the other, little endian, without padding.
+//! of actions are whole numbers in the units of the cell. A `real` is passed as its 32 bits ([`f32::to_bits`]), and a `bool` as
+//! the number 0 or 1. Messages are bytes: the fields of the port's format one after the other, little endian, without padding.
 //!
 //! # Errors
 //!
@@ -101,21 +101,21 @@ mod program;
 pub use error::{PlaceError, ProgramError};
 pub use program::Program;
 
-/// The argument that a [`Program`] passes to its function for an action.
+/// The argument with which a [`Program`] calls its function for an action.
 #[doc(inline)]
 pub use imrs_runtime::script::Call;
 
-/// The argument that a [`Program`] passes to its function for an extern task: the task's ports, and everything that a script
-/// can do with them.
+/// The argument with which a [`Program`] calls its function for an extern task: the task's ports, and everything that a
+/// script can do with them.
 #[doc(inline)]
 pub use imrs_runtime::Context;
 
-/// The argument that a [`Program`] passes to its function for an extern task if that function is a future. It has the calls
-/// of [`Context`]; those that wait are awaited. The futures of a node share one thread.
+/// The argument with which a [`Program`] calls its function for an extern task if that function is a future. It has the
+/// calls of [`Context`]; a call that waits is awaited. The futures of a node share one thread.
 #[doc(inline)]
 pub use imrs_runtime::AsyncContext;
 
-/// What [`Context::waitfor`] returns.
+/// The result of [`Context::waitfor`].
 ///
 /// ```
 /// use imrs_client::{Context, Program, Rendezvous, TaskEnd, TaskError};
@@ -150,7 +150,7 @@ pub use imrs_runtime::AsyncContext;
 #[doc(inline)]
 pub use imrs_runtime::Rendezvous;
 
-/// What [`Context::send`] returns.
+/// The result of [`Context::send`].
 ///
 /// ```
 /// use imrs_client::{Context, Program, Sent, TaskEnd, TaskError};
@@ -189,7 +189,7 @@ pub use imrs_runtime::Rendezvous;
 #[doc(inline)]
 pub use imrs_runtime::Sent;
 
-/// What [`Program::run`] returns for each task.
+/// The result of [`Program::run`] for each task.
 ///
 /// ```
 /// use imrs_client::{Program, TaskEnd};

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::io;
 use std::net::{SocketAddr, ToSocketAddrs};
 
-/// The declared address of a node.
+/// Returns the declared address of a node.
 ///
 /// # Errors
 /// [`PlaceError`].
@@ -21,7 +21,7 @@ pub fn address(loaded: &Loaded, node: NodeId) -> Result<SocketAddr, PlaceError> 
     found.next().ok_or_else(|| unknown(io::Error::other("it has no address")))
 }
 
-/// The declared addresses of a node's neighbours, by their names.
+/// Returns the declared addresses of a node's neighbours, by the neighbours' names.
 ///
 /// # Errors
 /// [`PlaceError`].
@@ -31,8 +31,8 @@ pub fn neighbours(loaded: &Loaded, node: NodeId) -> Result<BTreeMap<String, Sock
     loaded.table.neighbours(node).map(of).collect()
 }
 
-/// The observer address of the node with the index `after`: successive ports from the port of `first`. Port 0 means any free
-/// port for each node.
+/// The observer address of node number `after`, counted from 0. The nodes get successive ports from the port of `first`
+/// on. Port 0 means any free port for each node.
 #[must_use]
 pub fn observed_at(first: SocketAddr, after: usize) -> SocketAddr {
     let port = first.port();

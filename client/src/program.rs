@@ -20,19 +20,19 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
-/// How long the tasks have to end after the run has been stopped.
+/// How long the tasks may take to end after the run has been stopped.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// Poll interval for the ends of the tasks.
+/// How often the run checks whether the tasks have ended.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 
-/// Adds the program of an extern task to the builder of the task's node. The program begins when the gate opens.
+/// Adds the program of an extern task to the builder of the task's node. The program waits for the [`Gate`] before it begins.
 type Adds = Box<dyn FnOnce(Builder, Gate) -> Builder + Send>;
 
 /// Nodes of a cell file, with Rust functions for its actions and its extern tasks.
 ///
-/// All nodes run as threads of this process and exchange packets in memory. With [`node`](Self::node) one of them runs,
-/// over UDP at the address that the cell declares for it. Actions without a function are simulated. Monitors find the nodes
-/// as they find those of `imrs run`.
+/// All nodes run as threads of this process and exchange packets in memory. With [`node`](Self::node) only one of them
+/// runs, over UDP at the address that the cell declares for it. Actions without a function are simulated. Monitors find
+/// the nodes as they find those of `imrs run`.
 ///
 /// Call [`open`](Self::open) or [`of_text`](Self::of_text) first, then the methods that add functions and
 /// options, in any order, and last [`run`](Self::run), which starts the nodes and returns when they have
@@ -73,7 +73,7 @@ pub struct Program {
     node: Option<String>,
     insecure: bool,
     keys: Option<PathBuf>,
-    /// Where keys are looked for if no folder is named.
+    /// The folder in which keys are looked for if the program names no folder.
     beside: Option<PathBuf>,
     observe: Option<SocketAddr>,
     token: Option<String>,
@@ -96,7 +96,7 @@ struct Running {
 }
 
 impl Program {
-    /// The cell of a file.
+    /// Compiles the cell of a file.
     ///
     /// # Errors
     /// [`ProgramError::Cell`], with the compiler's diagnostics.
@@ -107,7 +107,7 @@ impl Program {
         Ok(program)
     }
 
-    /// The cell of a text; `name` stands for its file in diagnostics.
+    /// Compiles the cell of a text. Diagnostics show `name` as its file.
     ///
     /// # Errors
     /// [`ProgramError::Cell`], with the compiler's diagnostics.
@@ -130,8 +130,8 @@ impl Program {
         }
     }
 
-    /// The function that carries out an action of any task. It returns the result (a `real` as its bits), or why the action
-    /// failed. Each call runs on a thread of its own; a panic counts as a failure.
+    /// Sets the function that carries out an action of any task. The function returns the result (a `real` as its
+    /// bits), or why the action failed. Each call runs on a thread of its own; a panic counts as a failure.
     pub fn action(
         mut self,
         name: &str,
@@ -141,7 +141,8 @@ impl Program {
         self
     }
 
-    /// The program of an extern task. It runs once, on a thread of its own, as soon as all nodes of this program have started.
+    /// Sets the program of an extern task. It runs once, on a thread of its own, as soon as all nodes of this program
+    /// have started.
     pub fn task(
         self,
         name: &str,
@@ -153,7 +154,7 @@ impl Program {
         })
     }
 
-    /// The program of an extern task, as a future: see [`Builder::async_task`].
+    /// Sets the program of an extern task, as a future: see [`Builder::async_task`].
     pub fn async_task<F>(self, name: &str, program: impl FnOnce(AsyncContext) -> F + Send + 'static) -> Self
     where
         F: Future<Output = Result<(), TaskError>> + 'static,
@@ -161,7 +162,7 @@ impl Program {
         let of = name.to_owned();
         self.adds(name, move |builder, gate| {
             builder.async_task(&of, move |ctx| async move {
-                // This waits until all nodes have started: no future of this node may begin before.
+                // This waits until all nodes have started, because no future of this node may begin before.
                 begins(&gate)?;
                 program(ctx).await
             })
@@ -173,43 +174,45 @@ impl Program {
         self
     }
 
-    /// Runs only this node, at the address that the cell declares; the others run elsewhere, as by `imrs run --node`. Its
-    /// incarnation is stored in `$XDG_STATE_HOME/imrs` (else `~/.local/state/imrs`). It takes [`keys`](Self::keys). If neighbours remember a later
-    /// incarnation, or if no neighbour answers, a line on standard error says so.
+    /// Runs only this node, at the address that the cell declares for it; other programs run the other nodes, such as
+    /// `imrs run --node`. The node's incarnation is stored in `$XDG_STATE_HOME/imrs` (else `~/.local/state/imrs`). The
+    /// node needs [`keys`](Self::keys). If neighbours remember a later incarnation, or if no neighbour answers, a line
+    /// on standard error says so.
     pub fn node(mut self, name: &str) -> Self {
         self.node = Some(name.into());
         self
     }
 
-    /// Closes the node's packets with the keys in this folder, which `imrs keygen` has made (see [`node`](Self::node)), so that no
-    /// other process can read or forge them. Without this call the folder is the one beside the cell's file: `line.keys` for
-    /// `line.cell`. Its neighbours need keys of the same cell. The folder needs only this node's file.
+    /// Encrypts and authenticates the node's packets with the keys in this folder (see [`node`](Self::node)), so that
+    /// no other process can read or forge them. `imrs keygen` makes the keys. Without this call the folder is the one
+    /// beside the cell's file: `line.keys` for `line.cell`. The node's neighbours need keys of the same cell. The
+    /// folder needs only this node's file.
     pub fn keys(mut self, folder: impl Into<PathBuf>) -> Self {
         self.keys = Some(folder.into());
         self
     }
 
-    /// Runs the node without keys, though any process that reaches its socket can forge its packets then. Its neighbours must do
-    /// the same.
+    /// Runs the node without keys. Then any process that reaches its socket can forge its packets. The node's
+    /// neighbours must run without keys, too.
     pub const fn insecure(mut self) -> Self {
         self.insecure = true;
         self
     }
 
-    /// Also serves monitors at this TCP address; several nodes take successive ports. An address off the loopback requires
-    /// [`observe_token`](Self::observe_token).
+    /// Also serves monitors at this TCP address; several nodes get successive ports. An address off the loopback
+    /// requires [`observe_token`](Self::observe_token).
     pub const fn observe(mut self, address: SocketAddr) -> Self {
         self.observe = Some(address);
         self
     }
 
-    /// Over TCP, serves only monitors that present this token, of 16 to 256 bytes.
+    /// Over TCP, serves only monitors that have this token, of 16 to 256 bytes.
     pub fn observe_token(mut self, token: &str) -> Self {
         self.token = Some(token.into());
         self
     }
 
-    /// The seed of everything that is simulated or random.
+    /// Sets the seed of everything that is simulated or random.
     pub const fn seed(mut self, seed: u64) -> Self {
         self.seed = seed;
         self
@@ -218,7 +221,7 @@ impl Program {
     /// Runs the nodes until all their tasks have ended, at most for `length`, then stops them. Returns how each task ended.
     ///
     /// # Errors
-    /// [`ProgramError`]; then nothing keeps running.
+    /// [`ProgramError`]; then no node keeps running.
     pub fn run(mut self, length: Option<Duration>) -> Result<Vec<(String, TaskEnd)>, ProgramError> {
         let nodes = self.nodes()?;
         self.check(&nodes)?;
@@ -239,7 +242,8 @@ impl Program {
         // have begun.
         let begin = || running.iter().filter_map(|node: &Running| node.runtime.begin()).min();
         let (mut begins, mut end) = (begin(), None);
-        // The programs begin only now, because the network drops messages to a node that has not joined it.
+        // The gate opens only when all nodes have started, because the network drops messages to a node that has not
+        // joined it.
         let _ = gate.set(true);
         loop {
             if begins.is_some_and(|at| at <= Instant::now()) {
@@ -272,7 +276,7 @@ impl Program {
         Ok(vec![node])
     }
 
-    /// The folder of the node's keys, if it runs with keys.
+    /// The folder of the node's keys; `None` if the node runs without keys.
     fn folder(&self) -> Option<&Path> {
         let found = || self.beside.as_deref().filter(|folder| folder.is_dir());
         self.keys.as_deref().or_else(found).filter(|_| !self.insecure)
@@ -341,8 +345,8 @@ impl Program {
         }
         let runtime = builder.start()?;
         let mut observers = vec![];
-        // A node runs without its Unix socket, too. But the user asked for the TCP address, so failing to bind that is an
-        // error.
+        // Serving monitors at the Unix socket may fail: the node runs nevertheless. But the user asked for the TCP
+        // address, so failing to bind that is an error.
         observers.extend(Observer::start(Arc::clone(runtime.node())).ok());
         if let Some(first) = self.observe {
             let address = place::observed_at(first, after);
@@ -361,7 +365,7 @@ impl Program {
         let keys = keys.as_ref().map(|(_, keys)| keys);
         let (link, counted) = incarnation::bind::<ProgramError>(&self.loaded, node, address, keys)?;
         if let Some(notice) = &counted.notice {
-            // Standard error may be closed. The node runs all the same.
+            // Standard error may be closed. The node runs nevertheless.
             let _ = writeln!(io::stderr(), "imrs: {}", one_line(notice));
         }
         link.greet();
@@ -369,7 +373,7 @@ impl Program {
     }
 }
 
-/// Waits until the gate opens, and says whether the programs begin.
+/// Waits until the gate has its value. Returns an error if the programs of extern tasks must not begin.
 fn begins(gate: &Gate) -> Result<(), TaskError> {
     if *gate.wait() { Ok(()) } else { Err(TaskError::Stopped) }
 }

@@ -1,3 +1,3 @@
-//! The tests of this crate, built as one program: each file beside this one is a module.
+//! The tests of this crate, built as one program.
 
 mod program;

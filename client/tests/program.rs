@@ -1,4 +1,4 @@
-//! Tests which programs are refused, and runs a cell whose two nodes are two programs.
+//! Tests which programs the library refuses, and runs a cell whose two nodes are two programs.
 
 use imrs_client::{Context, Program, ProgramError, TaskEnd, TaskError, cells, keys};
 use std::fs::Permissions;
@@ -42,7 +42,7 @@ fn monitors_of_other_machines_need_a_token() {
     assert!(matches!(watched(open().observe_token("short")), Err(ProgramError::Token(_))));
 }
 
-/// The cell that the two programs share, at an address that no other process uses.
+/// The cell that the two programs share. Its nodes have an address that no other process uses.
 const CELL: &str = r#"
 cell apart;
 tick 1 msec;
@@ -56,8 +56,8 @@ task right on nb extern
   use_port ask(x: int16) usage = receive;
 end right;
 "#;
-/// The environment variable that names the node of a child process; the next ones have the node's address, and the folder of its
-/// keys if it has some.
+/// The environment variable that names the node of a child process; the next two variables have the node's address and,
+/// if it has keys, their folder.
 const NODE: &str = "IMRS_TEST_CLIENT_NODE";
 const ADDRESS: &str = "IMRS_TEST_CLIENT_ADDRESS";
 const KEYS: &str = "IMRS_TEST_CLIENT_KEYS";
@@ -77,14 +77,14 @@ fn right(ctx: &mut Context) -> Result<(), TaskError> {
     let mut wait = None;
     while let Some(question) = ctx.receive(Some(ask), wait)? {
         assert_eq!(question.contents.as_bytes(), 7_i16.to_le_bytes());
-        // If the answer is too late, the asker asks again.
+        // If the answer is too late, the other task asks again.
         let _ = ctx.reply(&question.from, &[]);
         wait = Some(Duration::from_secs(2));
     }
     Ok(())
 }
 
-/// The body of a child process, which the next test starts.
+/// The body of a child process. The next test starts this test in such a process.
 #[test]
 fn the_program_of_one_node() {
     let Ok(node) = std::env::var(NODE) else { return };
@@ -143,7 +143,8 @@ fn two_programs(state: &Path, address: &str, with_keys: bool) {
 
 #[test]
 fn a_body_finds_the_other_nodes_when_it_begins() {
-    // The nodes start in this order. The nodes in between take so long that a message sent too early would find no receiver.
+    // The nodes start in the order of the cell. Starting the nodes between `na` and `nb` takes so long that a message
+    // sent too early would find no receiver.
     let between: String = (0..40).map(|i| format!("node n{i};\n")).collect();
     let cell = format!(
         r#"
@@ -166,7 +167,7 @@ end right;
     );
     let program = Program::of_text("together.cell", &cell).expect("a cell").task("left", |ctx| {
         let ask = ctx.port("ask")?;
-        // The message is sent once: a copy that finds no node gets no answer.
+        // The message is sent once: without its receiver's node it would get no answer.
         assert!(ctx.send(ask, &[7, 0])?.reply().is_some(), "no answer");
         Ok(())
     });

@@ -1,4 +1,5 @@
-//! Fuzzes the cell compiler: parsing, reporting and formatting accept any bytes, and formatting keeps the meaning.
+//! Fuzzes the cell compiler. The parser, the error reports and the formatter must accept any bytes, and formatting must
+//! not change the meaning of a cell.
 #![no_main]
 
 #[path = "../../language/tests/support/bytes.rs"]

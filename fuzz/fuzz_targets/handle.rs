@@ -1,4 +1,5 @@
-//! Fuzzes a communication task with any operations on any small cell: it takes every input in every state and keeps its laws.
+//! Fuzzes a communication task: any operations on any small cell. The task must accept every input in every state, and
+//! its state must always fulfil its laws.
 #![no_main]
 
 #[allow(dead_code, reason = "a fuzz target uses a part of it")]

@@ -1,4 +1,5 @@
-//! Fuzzes datagrams with keys: any bytes are a datagram, a content or an error, and encoding undoes decoding.
+//! Fuzzes datagrams that are protected with keys. Any bytes must decode to a datagram, to contents or to an error, and
+//! decoding must undo encoding.
 #![no_main]
 
 #[path = "../../wire/tests/support/keyed.rs"]

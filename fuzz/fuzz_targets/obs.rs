@@ -1,5 +1,5 @@
-//! Fuzzes observation frames: the decoder accepts any bytes, and a delta applied to any state either gives the right state
-//! or fails.
+//! Fuzzes observation frames. The decoder must accept any bytes. A delta that is applied to any state must either give
+//! the right state or fail.
 #![no_main]
 
 #[path = "../../wire/tests/support/bytes.rs"]

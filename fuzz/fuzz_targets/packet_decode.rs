@@ -1,4 +1,4 @@
-//! Fuzzes packets: the decoder accepts any bytes and inverts the encoder.
+//! Fuzzes packets. The decoder must accept any bytes, and must undo the encoder.
 #![no_main]
 
 #[allow(dead_code, reason = "a fuzz target uses a part of it")]

@@ -1,4 +1,4 @@
-//! Fuzzes task scripts: a script takes every input in every state, whatever its program is.
+//! Fuzzes the scripts of tasks. A script must accept every input in every state, with any program.
 #![no_main]
 #![allow(dead_code, unused_imports, unused_macros, reason = "the tests that stand in the same files")]
 

@@ -65,7 +65,7 @@ pub enum Item {
 /// `tick` or `model tick`: how late a node's timers may fire, or the step of time in the checker (D42, D133).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TickDecl {
-    /// Whether this declares the `model tick`.
+    /// Whether the declaration is `model tick`, not `tick`.
     pub model: bool,
     /// The duration of one tick.
     pub length: Duration,
@@ -141,7 +141,7 @@ pub struct TaskDecl {
     pub module: Option<Name>,
     /// `standby of t`: the primary whose standby this task is (D30).
     pub standby_of: Option<Name>,
-    /// `extern`: its behaviour is a Rust program.
+    /// `extern`: a Rust program is the task's behaviour.
     pub is_extern: Option<Span>,
     /// `rate = n/dur` of an `extern` task.
     pub rate: Option<Rate>,
@@ -174,7 +174,7 @@ pub struct Rate {
 /// `port` or `use_port` (Figure 1).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PortDecl {
-    /// Whether the owner declares it with `port`, not a user with `use_port`.
+    /// Whether the declaration is `port`, by the owner, not `use_port`, by a user.
     pub owner: bool,
     /// The port's name.
     pub name: Name,
@@ -267,9 +267,9 @@ pub enum Trigger {
     Silence {
         /// The port whose silence runs the handler.
         port: Name,
-        /// How long no message must come.
+        /// For how long no message must come.
         length: Duration,
-        /// The condition that must hold all the time.
+        /// The condition that must hold during the whole silence.
         when: Option<Expr>,
     },
     /// `on expiry t`
@@ -303,7 +303,7 @@ pub struct Branch {
 /// The outcomes of a statement for which branches can be written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum BranchKind {
-    /// `on time_out`: also for a command that is unsent, unknown or whose peer restarted.
+    /// `on time_out`: the wait timed out. Also runs for a command that was never sent, or whose peer restarted.
     TimeOut,
     /// `on refused`
     Refused,
@@ -330,19 +330,19 @@ pub enum StatementKind {
     },
     /// `receive`, `receive p(vars)`, `receive p(vars) from t`
     Receive {
-        /// The port; without one it takes the most urgent message of all ports that have no handler.
+        /// The port; without a port, the statement takes the most urgent message of all ports that have no handler.
         port: Option<Name>,
         /// The variables for the message.
         into: Vec<Place>,
-        /// The only sender from which it receives.
+        /// The only sender whose messages the statement takes.
         from: Option<Name>,
-        /// The longest wait. The task's own time_out of the port is a limit, too. Without both it waits for ever.
+        /// The longest wait. The time_out of the port is a limit, too. With neither limit the statement waits for ever.
         within: Option<Duration>,
     },
     /// `reply(args)` and `response(args)` answer the last message. `reply p(args) for t` answers an earlier one.
     /// `reply p(args) for t ticket n` answers a message that another task received, through a port of usage `reply` (D11).
     Reply {
-        /// Whether the keyword is `response`.
+        /// Whether the keyword is `response`, not `reply`.
         response: bool,
         /// The port whose message is answered.
         port: Option<Name>,
@@ -350,7 +350,7 @@ pub enum StatementKind {
         arguments: Vec<Expr>,
         /// The task whose message the reply answers.
         asker: Option<Name>,
-        /// The number of that message.
+        /// The number of the message of the other task.
         ticket: Option<Expr>,
     },
     /// `waitfor p(args)`
@@ -429,7 +429,7 @@ pub enum Verb {
     Query,
 }
 
-/// A variable or a field of one: `me.height`.
+/// A variable, or a field of a variable: `me.height`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Place {
     /// The names, outermost first.
@@ -472,7 +472,7 @@ pub enum ExprKind {
     Not(Box<Expr>),
     /// `-x`
     Negate(Box<Expr>),
-    /// `x + y` and the like. The parser marks each as an operation on integers, because it knows no types yet.
+    /// `x + y` or another operator. The parser marks every operator as one on integers, because it knows no types yet.
     Binary(Binary, Box<Expr>, Box<Expr>),
 }
 
@@ -505,11 +505,11 @@ pub enum CoupleKind {
         primary: Name,
         /// The task that takes over.
         standby: Name,
-        /// Whether the two swap roles at a take-over: `<->`.
+        /// Whether primary and standby swap roles at a take-over: `<->`.
         mutual: bool,
-        /// How long the primary may act after sending an answer that the standby echoes.
+        /// How long the primary may act after it sent an answer that the standby echoes.
         lease: Duration,
-        /// How long after the last answer the standby takes over.
+        /// How long after the last answer from the primary the standby takes over.
         takeover: Duration,
         /// The period of the heartbeats.
         every: Duration,
@@ -538,11 +538,11 @@ pub enum Fault {
     Fail(Number),
     /// `drift n`: up to `n` ticks are skipped or counted twice by some clock.
     Drift(Number),
-    /// `crash t`: the node of the task crashes. It may start again.
+    /// `crash t`: the node of the task crashes. The node may start again.
     Crash(Name),
     /// `pause t up to 300 msec`: the node of the task takes no step for a while, at most this long.
     Pause(Name, Option<Duration>),
-    /// `cut a--b`: the link passes nothing for a while.
+    /// `cut a--b`: the link passes no packets for a while.
     Cut(Name, Name),
 }
 

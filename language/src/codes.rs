@@ -1,9 +1,9 @@
-//! The codes of the diagnostics. Each has a page: what it means, a wrong example and a right one.
+//! The codes of the diagnostics. Each code has a page: what it means, a wrong example and a right one.
 
 /// A code with its title and its page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CodeEntry {
-    /// `E005`
+    /// The code, such as `E005`.
     pub code: &'static str,
     /// What the code is about, in a few words.
     pub title: &'static str,

@@ -16,17 +16,17 @@ use imrs_protocol::CellTable;
 /// The result of all phases.
 #[derive(Clone, Debug)]
 pub struct Compiled {
-    /// The cell; none if a diagnostic is an error.
+    /// The cell; `None` if some diagnostic is an error.
     pub hir: Option<Hir>,
     /// The diagnostics. Without errors they come in the order of the phases, and within a phase in the order of the file.
     /// With errors they come in the order of the file.
     pub diagnostics: Vec<Diagnostic>,
-    /// A sentence that says what was not checked, or not all of it, because of errors.
+    /// If some parts were not checked because of errors: a sentence that says so.
     pub unchecked: Option<&'static str>,
 }
 
 impl Compiled {
-    /// The lowered cell in this unit; none if a diagnostic is an error.
+    /// The lowered cell, with durations in this unit; `None` if some diagnostic is an error.
     #[must_use]
     pub fn lower(&self, unit: Unit) -> Option<Lowered> {
         lower(self.hir.as_ref()?, unit).ok()
@@ -46,9 +46,9 @@ pub fn compile(source: &Source) -> Compiled {
     compile_with(source, Options::default())
 }
 
-/// Compiles a file: syntax, names and types, then the behaviour of the cell and the tables of the protocol. After
-/// errors in one phase, the later phases check the other parts of the file, and report only what does not follow from
-/// these errors. So each fault is reported once.
+/// Compiles a file: syntax, names and types, then the behaviour of the cell and the tables of the protocol. After errors in
+/// one phase, the later phases check the other parts of the file, and report only faults that do not follow from these
+/// errors. So each fault is reported once.
 #[must_use]
 pub fn compile_with(source: &Source, options: Options) -> Compiled {
     let parsed = parse(source);
@@ -87,16 +87,16 @@ fn has_error(diagnostics: &[Diagnostic]) -> bool {
     diagnostics.iter().any(|found| found.severity == Severity::Error)
 }
 
-/// The diagnostics of the checks and of the tables, in the order of the text.
+/// The diagnostics of the static checks and of the protocol's table, in the order of the text.
 fn behaviour((file, source): (&File, &Source), hir: &Hir, options: Options) -> Vec<Diagnostic> {
     let mut found = machine(hir);
     if found.iter().any(|found| found.code == TOO_MANY) {
         return found;
     }
     let checked = checks::all(hir, options.paper);
-    // The checks and the cell's table may both find the same deadline too short; both findings mark the deadline's port. The
-    // finding of the checks explains more, so only that one stays. A time_out that cannot cover its route is not also
-    // reported as short.
+    // The checks and the cell's table may both find the same deadline too short; both findings mark the deadline's port.
+    // The finding of the checks explains more, so only this finding stays. A time_out that cannot cover its route is not
+    // reported a second time as short.
     let port = |found: &Diagnostic| found.secondary.first().map(|label| label.span);
     let of = |all: &[Diagnostic], code| -> Vec<Option<Span>> {
         all.iter().filter(|found| found.code == code).map(port).collect()
@@ -119,7 +119,7 @@ fn behaviour((file, source): (&File, &Source), hir: &Hir, options: Options) -> V
     found
 }
 
-/// The errors that only lowering and the table can find.
+/// The errors that only lowering and the protocol's table can find.
 fn machine(hir: &Hir) -> Vec<Diagnostic> {
     match lower(hir, Unit::Microseconds) {
         Err(found) => found,

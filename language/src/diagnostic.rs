@@ -27,12 +27,12 @@ impl fmt::Display for Severity {
     }
 }
 
-/// A span, and what is to say about it.
+/// A span, and what a diagnostic says about it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Label {
     /// The text that the label marks.
     pub span: Span,
-    /// The text; may be empty on the primary label.
+    /// What the label says about it; may be empty on the primary label.
     pub text: String,
 }
 

@@ -1,19 +1,19 @@
-//! Words of RAPID, KRL, Structured Text, Python and ROS, and what to write here in their place.
+//! Words of RAPID, KRL, Structured Text, Python and ROS, each with what to write in a cell file in its place.
 
 use crate::codes::MISSPELT;
 use crate::diagnostic::Diagnostic;
 use crate::lexer::Kind;
 use crate::span::Span;
 
-/// Words of other languages that mean the same thing, in lower case, and the word to write in a cell instead.
+/// One row: words of other languages that mean the same thing, in lower case, and the word to write in a cell instead.
 type Row = (&'static [&'static str], &'static str);
 
 /// The diagnostic for a line that begins with an unknown word, which the message shows as `shown`. `follows` is the token
-/// behind it.
+/// behind the word.
 pub(crate) fn unknown_statement(name: &str, shown: &str, span: Span, follows: Option<Kind>) -> Diagnostic {
     let found = Diagnostic::error(MISSPELT, span, format!("`{shown}` does not begin a statement"));
     match follows {
-        // `n++;` and `n--;` of other languages: here an assignment changes a variable.
+        // `n++;` and `n--;` of other languages: in a cell an assignment changes a variable.
         Some(sign @ (Kind::Plus | Kind::Link)) => {
             let sign = if sign == Kind::Plus { '+' } else { '-' };
             found.help(format!("write `{shown} := {shown} {sign} 1;`"))

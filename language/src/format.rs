@@ -1,8 +1,8 @@
 //! The formatter, `imrs fmt`: one way to write a cell file.
 //!
-//! Like gofmt, it keeps line breaks and comments where they are. It decides everything else: indentation, spaces, at
-//! most one empty line, lower-case keywords, one spelling of each option (D10). Trailing `//` comments of consecutive
-//! lines that begin in one column still do so afterwards.
+//! Like gofmt, the formatter keeps line breaks and comments where they are. It decides everything else: indentation,
+//! spaces, at most one empty line, lower-case keywords, one spelling of each option (D10). Trailing `//` comments of
+//! consecutive lines that begin in one column still do so afterwards.
 
 mod align;
 mod layout;
@@ -31,7 +31,7 @@ pub fn format(source: &Source) -> Result<String, Vec<Diagnostic>> {
     names::each(&parsed.file, &mut |name| {
         names.insert(name.span.start);
     });
-    // This reports nothing, because the text was parsed before.
+    // Lexing reports no errors here, because the text was parsed before.
     let lexed = lex(source.text(), &mut Report::default());
     let mut writer = Writer { source, names: &names, pieces: Vec::new() };
     writer.all(&lexed.tokens, &lexed.comments);
@@ -54,7 +54,7 @@ enum What {
 struct Piece<'t> {
     what: What,
     text: Cow<'t, str>,
-    /// How many line breaks the source has in front of the piece.
+    /// How many line breaks stand in front of the piece in the source.
     breaks: usize,
     /// The column of a comment in the source, from 1; 0 for a token.
     column: usize,
@@ -63,7 +63,7 @@ struct Piece<'t> {
 /// Merges the tokens and comments into pieces, and sets their spelling.
 struct Writer<'t> {
     source: &'t Source,
-    /// The offsets of the names: a free keyword at one of them is a name.
+    /// The offsets of the names: a keyword that is not reserved is a name if it stands at one of these offsets.
     names: &'t HashSet<u32>,
     pieces: Vec<Piece<'t>>,
 }
@@ -119,7 +119,7 @@ impl<'t> Writer<'t> {
         }
     }
 
-    /// Whether another name follows in the list.
+    /// Whether another name follows in the `user_list`.
     fn another_user(&self, rest: &[Token]) -> bool {
         let next = rest.iter().find(|(kind, _)| *kind != Kind::Comma);
         next.is_some_and(|(kind, span)| self.what(*kind, span.start) == What::Operand)
@@ -161,15 +161,15 @@ impl<'t> Writer<'t> {
     }
 }
 
-/// The position of the current token in `user_list = (a b)`.
+/// Where the current token stands in `user_list = (a b)`.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Users {
     Outside,
-    /// Behind `user_list`.
+    /// After the word `user_list`.
     Named,
-    /// From the opening bracket on.
+    /// Inside of the list: from its opening bracket on.
     Inside,
-    /// At the closing bracket.
+    /// At the closing bracket of the list.
     Closing,
 }
 

@@ -51,7 +51,7 @@ impl Hir {
         self.lines.partition_point(|&begin| begin <= span.start).max(1)
     }
 
-    /// The route with the least total delay: positions in [`Hir::links`], last link first; empty if there is none.
+    /// The route with the least total delay: positions in [`Hir::links`], last link first; empty if no route exists.
     #[must_use]
     pub fn way(&self, from: NodeId, to: NodeId) -> Vec<usize> {
         let mut best: Vec<Option<(u64, Option<usize>)>> = vec![None; self.nodes.len()];
@@ -141,7 +141,7 @@ pub struct Port {
     pub users: Vec<User>,
     /// The span of the port's `user_list`.
     pub user_list: Option<Span>,
-    /// The record type of its messages, by position in [`Hir::records`], if they have one.
+    /// The record type of the port's messages, by position in [`Hir::records`], if they have one.
     pub record: Option<usize>,
     /// The fields of a message.
     pub message: Vec<Field>,
@@ -173,7 +173,7 @@ pub struct Port {
 }
 
 impl Port {
-    /// The task's usage of the port; none if the task neither owns nor uses it.
+    /// The task's usage of the port; `None` if the task neither owns nor uses it.
     #[must_use]
     pub fn usage_of(&self, task: TaskId) -> Option<Usage> {
         if task == self.owner {
@@ -216,9 +216,9 @@ pub struct User {
     pub rate: Option<(u16, Duration)>,
     /// The user's own `retry`.
     pub retry: Option<u8>,
-    /// The span of its name in the `user_list`, or in its `use_port` if the port has no such list.
+    /// The span of the task's name in the `user_list`, or in its `use_port` if the port has no such list.
     pub listed: Span,
-    /// The span of the port's name in the task's `use_port`; none until name resolution has found that declaration.
+    /// The span of the port's name in the task's `use_port`; `None` until name resolution has found that declaration.
     pub span: Option<Span>,
 }
 
@@ -231,9 +231,9 @@ pub struct Task {
     pub node: NodeId,
     /// The task's module.
     pub module: Option<String>,
-    /// The task that this task takes over from, if this one is a standby.
+    /// If this task is a standby: the task from which it takes over.
     pub standby_of: Option<TaskId>,
-    /// Whether a Rust program provides its behaviour.
+    /// Whether a Rust program provides the task's behaviour.
     pub is_extern: bool,
     /// The highest rate at which an `extern` task acts.
     pub rate: Option<(u16, Duration)>,
@@ -247,19 +247,19 @@ pub struct Task {
     pub body: Vec<Statement>,
     /// The statements that a standby runs when it takes over.
     pub takeover: Option<Vec<Statement>>,
-    /// The values that its body and its take-over save for later expressions.
+    /// The values that the task's body and take-over save for later expressions.
     pub captures: Vec<Capture>,
     /// The span of the task's name.
     pub span: Span,
 }
 
-/// A value that a thread saves in a hidden variable as soon as it is known, because an expression may read it several
-/// statements later.
+/// A value that a thread saves in a hidden variable as soon as the value is known, because an expression may read it
+/// several statements later.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Capture {
     /// The saved value.
     pub what: Captured,
-    /// The variable: [`Slot::Task`] in a body, [`Slot::Local`] in a handler.
+    /// The hidden variable: [`Slot::Task`] in a body, [`Slot::Local`] in a handler.
     pub slot: Slot,
 }
 
@@ -274,10 +274,10 @@ pub enum Captured {
     Received,
     /// `p.answered(t)`: whether the task answered the last message that this thread sent on the port.
     Answered(PortId, TaskId),
-    /// `p.refused(t)`: whether the task refused that message.
+    /// `p.refused(t)`: whether the task refused the last message that this thread sent on the port.
     Refused(PortId, TaskId),
     /// `p.told(t)`, `p.x(t)`: whether this thread knows the values that the task brought to the waitfor or sent in its
-    /// answer. The slots behind this one hold the values, one for each field.
+    /// answer. The slots after this one hold these values, one for each field.
     Told(PortId, TaskId),
     /// `ticket`: the number of the last received message.
     Ticket,
@@ -294,7 +294,7 @@ pub struct Variable {
     pub span: Span,
 }
 
-/// A timer: a declared one, or the one that measures a silence.
+/// A timer: a declared timer, or one that measures a silence.
 #[derive(Clone, Debug)]
 pub struct Timer {
     /// The timer's name.
@@ -308,7 +308,7 @@ pub struct Timer {
 pub struct Handler {
     /// The event that runs the handler.
     pub trigger: Trigger,
-    /// The handler's variables, by the position in [`Slot::Local`]. Those of the message come first.
+    /// The handler's variables, by the position in [`Slot::Local`]. The variables for the message's fields come first.
     pub locals: Vec<Variable>,
     /// The number of variables that take fields of the message: all fields, or none if the handler ignores them.
     pub reads: usize,
@@ -323,7 +323,7 @@ pub struct Handler {
 /// The event that runs a handler.
 #[derive(Clone, Debug)]
 pub enum Trigger {
-    /// A message of this port. Its fields go into the handler's first variables, in order.
+    /// A message of this port. The message's fields go into the handler's first variables, in order.
     Message(PortId),
     /// No message came through the port for this long, while the condition held all the time.
     Silence {
@@ -331,14 +331,14 @@ pub enum Trigger {
         port: PortId,
         /// The timer that measures the silence.
         timer: TimeId,
-        /// How long no message must come.
+        /// For how long no message must come.
         length: Duration,
-        /// The condition; none means that it always holds.
+        /// The condition; `None` stands for one that always holds.
         when: Option<Expr>,
     },
     /// The handler runs when this timer has expired.
     Expiry(TimeId),
-    /// The lease was lost (D61).
+    /// The task has lost its lease (D61).
     Fence,
 }
 
@@ -347,7 +347,7 @@ pub enum Trigger {
 pub struct Statement {
     /// What the statement does.
     pub kind: StatementKind,
-    /// What runs if it times out, is refused or fails.
+    /// What runs if the statement times out, is refused or fails.
     pub branches: Vec<Branch>,
     /// The span of the statement, without its branches and inner statements.
     pub span: Span,
@@ -369,7 +369,7 @@ pub struct Branch {
 pub enum Recipients {
     /// All tasks at the other end.
     All,
-    /// Only these.
+    /// Only these tasks.
     These(Vec<TaskId>),
 }
 
@@ -416,18 +416,18 @@ pub enum StatementKind {
     },
     /// A `receive` statement: GET.
     Receive {
-        /// The port; none for a plain `receive`, which takes messages of all ports without a handler.
+        /// The port; `None` for a plain `receive`, which takes messages of all ports without a handler.
         port: Option<PortId>,
         /// The variables for the message.
         into: Vec<Destination>,
-        /// The only sender from which it receives.
+        /// The only sender whose messages the statement takes.
         from: Option<TaskId>,
         /// How long the statement waits at most.
         within: Option<Duration>,
     },
     /// Answers a message.
     Reply {
-        /// The port of the answered message; one of usage `reply` for a third party. None if several ports are possible.
+        /// The answered message's port; of usage `reply` for a third party's answer. `None` if several ports are possible.
         port: Option<PortId>,
         /// The message that this statement answers.
         to: Answered,
@@ -440,7 +440,7 @@ pub enum StatementKind {
         port: PortId,
         /// The values that this task sends to the other members.
         values: Vec<Expr>,
-        /// A wait below the port's time_out.
+        /// How long the task waits, if less than the port's time_out.
         within: Option<Duration>,
     },
     /// An `order` statement: ORDER.
@@ -516,14 +516,14 @@ pub enum StatementKind {
     Skip,
     /// Ends the task.
     Abort(String),
-    /// Ends the task if this is false.
+    /// Ends the task if this expression is false.
     Assert(Expr),
 }
 
 /// A typed expression: operations in postfix order that leave its value on the stack.
 #[derive(Clone, Debug)]
 pub struct Expr {
-    /// Bool, real or an integer type. A constant or a sum of integers is an `int32`.
+    /// The type of the value: bool, real or an integer type. A constant or a sum of integers is an `int32`.
     pub of: Type,
     /// The operations that compute the value.
     pub ops: Vec<Op>,

@@ -1,5 +1,5 @@
-//! The lexer: turns text into tokens. It keeps comments aside for the formatter. It reports and skips characters that
-//! form no token.
+//! The lexer: turns text into tokens. It keeps comments apart, for the formatter. It reports and skips characters that form
+//! no token.
 
 mod scanner;
 
@@ -91,7 +91,7 @@ impl Kind {
         }
     }
 
-    /// Whether a token of this kind may be a name: keywords that are not reserved are names, too.
+    /// Whether a token of this kind may be a name. Keywords that are not reserved may be names, too.
     pub(crate) const fn may_be_name(self) -> bool {
         match self {
             Self::Name => true,
@@ -123,11 +123,11 @@ pub(crate) type Token = (Kind, Span);
 
 /// The result of lexing a text.
 pub(crate) struct Lexed {
-    /// The tokens of the file, in its order.
+    /// The tokens of the file, in the order of the file.
     pub tokens: Vec<Token>,
     /// The spans of the comments, in order.
     pub comments: Vec<Span>,
-    /// Whether the text ends inside of a comment. Anything may then be missing.
+    /// Whether the text ends inside of a comment. If so, any part of the file may be missing from the tokens.
     pub open_ended: bool,
 }
 
@@ -182,7 +182,7 @@ pub(crate) fn lex(text: &str, report: &mut Report) -> Lexed {
                     Diagnostic::error(OPERATOR, span, "`!` begins no comment here").help("write `// ..`")
                 });
             }
-            // After a number the short units of the command line (`ms`) are accepted, too.
+            // After a number the short units of the command line (`ms`) are accepted here, too.
             Kind::Name
                 if let (Some((Kind::Int | Kind::Real, _)), Some(unit)) =
                     (lexed.tokens.last(), Word::short_unit(lexer.slice())) =>
@@ -198,7 +198,8 @@ pub(crate) fn lex(text: &str, report: &mut Report) -> Lexed {
     lexed
 }
 
-/// The length of the comment at the beginning of `text`, and whether it ends. Comments of one kind nest (IEC 61131-3).
+/// The length of the comment at the beginning of `text`, and whether the comment ends. Comments of one kind nest (IEC
+/// 61131-3).
 fn comment(text: &str) -> (usize, bool) {
     let bytes = text.as_bytes();
     let (open, close): (&[u8], &[u8]) =
@@ -266,7 +267,7 @@ fn token(kind: Kind, text: &str, span: Span, report: &mut Report) -> Kind {
         Kind::Foreign => {
             let (ours, kind) = match text {
                 "==" => ("=", Kind::Equal),
-                // In Ada "not equal", elsewhere an assignment.
+                // `/=` means "not equal" in Ada, and an assignment in other languages.
                 "/=" => ("<>", Kind::NotEqual),
                 "!=" => ("<>", Kind::NotEqual),
                 "&&" => ("and", Kind::Word(Word::And)),

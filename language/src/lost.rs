@@ -1,4 +1,4 @@
-//! Records which parts of a file could not be parsed, and drops later findings that may only follow from that.
+//! Records which parts of a file could not be parsed, and drops later findings that may only follow from these lost parts.
 //!
 //! Names, types and times of the other parts are checked nevertheless. A finding is dropped if it reports something as
 //! missing that a lost part may contain.
@@ -14,7 +14,7 @@ use crate::source::Source;
 use crate::span::Span;
 use std::collections::BTreeSet;
 
-/// The parts of a file that could not be parsed.
+/// The parts of a file that could not be parsed: the lost parts.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Lost {
     /// The spans of lost lines, blocks and whole declarations.
@@ -28,13 +28,13 @@ pub(crate) struct Lost {
     pub all: bool,
 }
 
-/// The declarations with errors and the lost parts: findings that depend on them are in doubt.
+/// The declarations with errors and the lost parts of a file. Findings that depend on them are in doubt.
 pub(crate) struct Doubts<'s> {
     lost: &'s Lost,
     source: &'s Source,
-    /// The words in lost parts: any of them may be declared there.
+    /// The words in the lost parts: each of these names may be declared there.
     names: BTreeSet<&'s str>,
-    /// The declarations with an error in them, by position in the text.
+    /// The declarations that have an error, by position in the text.
     items: BTreeSet<usize>,
 }
 
@@ -44,7 +44,7 @@ impl Lost {
         self.spans.iter().any(|lost| lost.start < span.end && span.start < lost.end)
     }
 
-    /// The number of the declaration around a span, from 1; 0 in front of the first.
+    /// The number of the declaration around a span, from 1; 0 if the span is in front of the first declaration.
     fn item(&self, span: Span) -> usize {
         self.items.partition_point(|(begin, _)| *begin <= span.start)
     }
@@ -97,7 +97,7 @@ impl<'s> Doubts<'s> {
         let known = match found.code {
             NEVER_COMES | RING | WAITFOR_ORDER | NEVER_RECEIVED | SHORT_TIME_OUT | NO_TIME_OUT
             | ACTS_EARLY | WRAPS | STATEMENT => true,
-            // These depend on routes, which an unknown link may change.
+            // These findings depend on routes, which an unknown link may change.
             DEADLINE | RATE | NO_LINK | TAKEOVER_TOO_SOON | LEASE_TOO_SHORT => !self.ways_in_doubt(),
             NEVER_ANSWERED => self.lost.spans.is_empty(),
             _ => false,

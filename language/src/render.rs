@@ -6,7 +6,7 @@ use crate::span::Span;
 use annotate_snippets::{Annotation, AnnotationKind, Group, Level, Origin, Renderer, Snippet};
 use serde::Serialize;
 
-/// Whether the text has colours. The caller decides.
+/// Whether the rendered text has colours. The caller decides.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Style {
     /// ANSI colours.
@@ -18,8 +18,8 @@ pub enum Style {
 /// Lines with more bytes than this are not shown.
 const LONGEST_LINE: usize = 2000;
 
-/// The diagnostics as text, with their lines of the file. `file` is the name shown. Without a `source`, because the file is
-/// no text, no lines are shown.
+/// The diagnostics as text, with the lines of the file at which they point. `file` is the name shown for the file. If the
+/// file is no text, `source` is `None`, and no lines are shown.
 #[must_use]
 pub fn text(diagnostics: &[Diagnostic], file: &str, source: Option<&Source>, style: Style) -> String {
     let renderer = match style {
@@ -51,7 +51,7 @@ fn group<'a>(found: &'a Diagnostic, file: &'a str, source: Option<&'a Source>) -
     group.elements(found.help.iter().map(|help| Level::HELP.message(help)))
 }
 
-/// The whole lines of all labels; none if one of the lines is too long.
+/// The whole lines of all labels; `None` if one of the lines is too long.
 fn window(found: &Diagnostic, source: &Source) -> Option<Span> {
     let all = labels(found).map(|(label, _)| label.span).reduce(Span::to)?;
     let text = source.text();
@@ -104,7 +104,7 @@ fn labels(found: &Diagnostic) -> impl Iterator<Item = (&Label, bool)> {
 /// A diagnostic with its file, lines and columns: what `--format json` prints.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Located<'a> {
-    /// `E005`
+    /// The code, such as `E005`.
     pub code: &'a str,
     /// The diagnostic's severity.
     pub severity: Severity,
@@ -125,7 +125,7 @@ pub struct LocatedLabel<'a> {
     pub text: &'a str,
     /// The label's first character.
     pub start: Position,
-    /// The position behind the last character of the label.
+    /// The position behind the label's last character.
     pub end: Position,
 }
 
@@ -136,11 +136,11 @@ pub struct Position {
     pub byte: u32,
     /// The line, from 1.
     pub line: usize,
-    /// The character of the line, from 1.
+    /// The position in the line, in characters, from 1.
     pub column: usize,
 }
 
-/// The diagnostics for a program: to be serialised.
+/// The diagnostics in a form that programs can read, ready to be serialised.
 #[must_use]
 pub fn located<'a>(
     diagnostics: &'a [Diagnostic],

@@ -4,12 +4,12 @@ use crate::codes::MORE;
 use crate::diagnostic::Diagnostic;
 use crate::span::Span;
 
-/// How many diagnostics are kept and shown.
+/// The greatest number of diagnostics that are kept and shown.
 pub(crate) const SHOWN: usize = 100;
 /// After this many diagnostics the compiler stops looking for more.
 const COUNTED: usize = 1000;
 
-/// The diagnostics so far.
+/// The diagnostics that were found so far.
 #[derive(Default)]
 pub(crate) struct Report {
     shown: Vec<Diagnostic>,

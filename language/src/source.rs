@@ -15,10 +15,10 @@ pub struct Source {
 }
 
 impl Source {
-    /// Reads UTF-8 text, with or without a byte order mark. Its lines end with LF or CR LF.
+    /// Reads UTF-8 text, with or without a byte order mark. The lines of the text end with LF or CR LF.
     ///
     /// # Errors
-    /// E013 if it is not UTF-8, E012 if it is longer than 16 MiB.
+    /// E013 if the bytes are not UTF-8, E012 if the file is longer than 16 MiB.
     pub fn new(bytes: &[u8]) -> Result<Self, Box<Diagnostic>> {
         if bytes.len() > LONGEST_FILE {
             let message = format!("the file has {} bytes; at most {LONGEST_FILE} are read", bytes.len());
@@ -76,7 +76,7 @@ impl Source {
         self.lines.partition_point(|begin| *begin <= byte).max(1)
     }
 
-    /// How many blanks begin the line of a byte, and whether that byte is the first one behind them.
+    /// How many blanks begin the line of a byte, and whether that byte is the first one behind the blanks.
     #[must_use]
     pub(crate) fn indentation(&self, byte: u32) -> (usize, bool) {
         let begin = self.lines[self.line(byte) - 1] as usize;

@@ -6,9 +6,9 @@ use std::ops::Range;
 /// A range of bytes of the source text.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Span {
-    /// The first byte.
+    /// The position of the first byte.
     pub start: u32,
-    /// The byte after the last one.
+    /// The position after the last byte.
     pub end: u32,
 }
 
@@ -20,7 +20,7 @@ impl Span {
         Self { start: short(start), end: short(end) }
     }
 
-    /// The least span that contains both.
+    /// The least span that contains both spans.
     #[must_use]
     pub fn to(self, other: Self) -> Self {
         Self { start: self.start.min(other.start), end: self.end.max(other.end) }

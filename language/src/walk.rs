@@ -1,4 +1,4 @@
-//! Walks over the statements of a task.
+//! Functions that visit the statements of a task.
 
 use crate::hir::{Expr, Statement, StatementKind, Task};
 use imrs_protocol::script::{Op, Term};
@@ -66,15 +66,15 @@ pub(crate) fn of_task<'h>(task: &'h Task, see: &mut dyn FnMut(&'h Statement)) {
     threads(task).for_each(|thread| each(thread, see));
 }
 
-/// Whether `is` holds for a statement of the task.
+/// Whether `is` holds for at least one statement of the task.
 pub(crate) fn any(task: &Task, mut is: impl FnMut(&Statement) -> bool) -> bool {
     let mut has = false;
     of_task(task, &mut |statement| has |= is(statement));
     has
 }
 
-/// Calls `see` with each statement that stands under no condition, so that it runs whenever the thread gets to it. The
-/// body of a loop is visited once.
+/// Calls `see` with each statement that stands under no condition, so that the statement runs whenever the thread gets
+/// there. The body of a loop is visited once.
 pub(crate) fn certain<'h>(statements: &'h [Statement], see: &mut dyn FnMut(&'h Statement)) {
     for statement in statements {
         see(statement);
@@ -110,7 +110,7 @@ pub(crate) fn all_go_on(statements: &[Statement]) -> bool {
     statements.iter().all(goes_on)
 }
 
-/// Whether the body has an `exit` that leaves this loop. Those of inner loops do not.
+/// Whether the body has an `exit` that leaves this loop. An `exit` of an inner loop does not leave this loop.
 fn has_exit(body: &[Statement]) -> bool {
     body.iter().any(|statement| {
         let own = match &statement.kind {

@@ -1,5 +1,5 @@
-//! The keywords of the language. Reserved keywords are never names; free ones are keywords only where the grammar expects
-//! them.
+//! The keywords of the language. Reserved keywords are never names; free keywords may also be names, and are keywords only
+//! where the grammar expects them.
 
 macro_rules! words {
     (reserved { $($r:ident $rt:literal,)* } free { $($f:ident $ft:literal,)* }) => {
@@ -101,7 +101,7 @@ impl Word {
         Self::Check,
     ];
 
-    /// Keywords that begin a declaration of a task, and the `begin` behind them.
+    /// Keywords that begin a declaration of a task, and the `begin` behind these declarations.
     pub(crate) const OF_TASK: &[Self] = &[Self::Port, Self::UsePort, Self::Var, Self::Begin];
 
     /// Keywords that begin a statement, or end or continue a block.
@@ -148,10 +148,10 @@ impl Word {
         Self::Latest,
     ];
 
-    /// The units of time, with their microseconds.
+    /// The units of time, each with its length in microseconds.
     pub(crate) const UNITS: &[(Self, u64)] = &[(Self::Usec, 1), (Self::Msec, 1_000), (Self::Sec, 1_000_000)];
 
-    /// The unit for a short unit of the command line: `ms` is `msec`.
+    /// The unit of the language for a short unit of the command line: `msec` for `ms`.
     pub(crate) fn short_unit(text: &str) -> Option<Self> {
         match text {
             "us" => Some(Self::Usec),

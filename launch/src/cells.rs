@@ -1,4 +1,4 @@
-//! Compiles cells of the cell language, and finds the names and lines that messages to people need.
+//! Compiles cells of the cell language, and finds the names and lines that texts for people need.
 
 use imrs_client::cell_file;
 use imrs_client::cells::{self, CellError};
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use std::ops::Deref;
 use std::path::Path;
 
-/// The text of a cell; the launcher sends it to each node.
+/// The text of a cell, in the form in which the launcher sends it to each node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Source {
     /// The name of the cell's file.
@@ -21,7 +21,7 @@ pub struct Source {
     pub paper: bool,
 }
 
-/// A compiled cell, as a robot's program also has it. Its methods add names and line numbers, for messages to people.
+/// A compiled cell, as a robot's program also has it. Its methods add names and line numbers, for texts that people read.
 #[derive(Debug)]
 pub struct Loaded(cells::Loaded);
 
@@ -33,7 +33,7 @@ impl Deref for Loaded {
     }
 }
 
-/// Reads and compiles the cell of a file; `paper` as in [`Source`].
+/// Reads and compiles the cell of a file. `paper` is explained at [`Source`].
 ///
 /// # Errors
 /// [`CellError`].
@@ -51,7 +51,7 @@ pub fn load(Source { name, text, paper }: &Source) -> Result<Loaded, CellError> 
     cells::load(name, text, *paper).map(Loaded)
 }
 
-/// Whether some path through the operations leads to the end of the task.
+/// Whether some sequence of the program's operations reaches the end of the task.
 fn reaches_end(program: &Program) -> bool {
     let handlers = program.handlers.iter().map(|handler| handler.entry);
     let mut next: Vec<u16> = handlers.chain(program.takeover).chain([0]).collect();
@@ -71,14 +71,14 @@ fn reaches_end(program: &Program) -> bool {
 }
 
 impl Loaded {
-    /// The line, from 1, of the statement that an operation of a task's script belongs to.
+    /// The line, from 1, of the statement to which an operation of a task's script belongs.
     pub fn line(&self, task: TaskId, at: u16) -> Option<usize> {
         let script = self.script(task)?;
         Some(self.line_of(*script.spans.get(usize::from(at))?))
     }
 
-    /// The line, from 1, on which the handler of a statement begins; `line` is the statement's. None if the statement is
-    /// part of the body.
+    /// The line, from 1, on which the handler begins that contains the statement at `line`; `None` if the statement is
+    /// in the task's body.
     pub fn handler(&self, task: TaskId, line: usize) -> Option<usize> {
         let script = self.script(task)?;
         let has_line = |entry: u16| {
@@ -95,7 +95,7 @@ impl Loaded {
         self.program(task).is_none_or(|program| reaches_end(program))
     }
 
-    /// The digest of the scripts of a node; zero if it has none.
+    /// The digest of the scripts of a node; zero if the node has no script.
     pub fn statements(&self, node: NodeId) -> u32 {
         self.statements_of(self.table.tasks_on(node))
     }
@@ -117,10 +117,10 @@ impl Loaded {
         values.iter().enumerate().map(of).collect()
     }
 
-    /// The result of an action, as text for people; none if nothing reads it.
+    /// The result of an action, as text for people; `None` if no statement reads it.
     pub fn result(&self, task: TaskId, action: u16, value: i32) -> Option<String> {
         let of = self.one_action(task, action)?.result?;
-        // A `real` is passed as its bits.
+        // A `real` is passed as its bits, not as a signed number.
         let bits = i64::from(value.cast_unsigned());
         Some(shown(Some(of), if of == Type::Real { bits } else { i64::from(value) }))
     }
@@ -160,7 +160,7 @@ impl Loaded {
         self.program(task)?.variables.get(usize::from(variable))
     }
 
-    /// The time limit of the check of this name; none if the check is no `leads`.
+    /// The time limit of the check of this name; `None` if the check is no `leads`.
     pub fn within(&self, check: &str) -> Option<u64> {
         let check = self.checks.iter().find(|one| one.name == check)?;
         match &check.kind {

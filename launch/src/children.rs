@@ -17,7 +17,7 @@ use std::sync::mpsc::SyncSender;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// What the launcher receives.
+/// A message that the launcher receives.
 #[derive(Debug)]
 pub enum Message {
     /// A message from a node.
@@ -42,15 +42,15 @@ struct Process {
     /// The number of the node's incarnations before this one.
     incarnation: usize,
     body: Body,
-    /// The pipe for orders to the node; none once it has failed or been closed.
+    /// The pipe for orders to the node; `None` once the pipe has failed or was closed.
     orders: Option<Box<dyn Write + Send>>,
     killed: bool,
 }
 
-/// What a node runs in.
+/// The process or thread in which a node runs.
 enum Body {
     Process(Child),
-    /// The thread; none once it has been joined.
+    /// The thread of the node; `None` once it has been joined.
     Thread(Option<JoinHandle<Result<(), NodeError>>>),
 }
 
@@ -58,11 +58,11 @@ enum Body {
 type Words = Box<dyn Read + Send>;
 
 impl Children {
-    /// Starts a node for each setup: a process of its own, or a thread if `network` joins the nodes. Their messages go to
-    /// `messages`.
+    /// Starts a node for each setup: a process of its own, or a thread if `network` joins the nodes. The nodes'
+    /// messages go to `messages`.
     ///
     /// # Errors
-    /// A process or a thread cannot be started.
+    /// An error if a process or a thread cannot be started.
     pub fn start(
         setups: &[(NodeId, Setup)],
         network: Option<Arc<Network>>,
@@ -77,14 +77,14 @@ impl Children {
         Ok(children)
     }
 
-    /// Starts a killed node again.
+    /// Starts a killed node again, with this setup.
     ///
     /// # Errors
-    /// A process or a thread cannot be started.
+    /// An error if a process or a thread cannot be started.
     pub fn restart(&mut self, node: NodeId, setup: &Setup) -> Result<(), LaunchError> {
         let Some(at) = self.processes.iter().position(|process| process.node == node) else { return Ok(()) };
         let before = &mut self.processes[at];
-        // The previous incarnation must end first.
+        // The process or thread of the previous incarnation must end first.
         before.orders = None;
         before.end(Instant::now() + BURIAL, self.host);
         let incarnation = before.incarnation + 1;
@@ -106,7 +106,7 @@ impl Children {
         Ok(Process { node, name: setup.node.clone(), incarnation, body, orders: Some(orders), killed: false })
     }
 
-    /// The program that started the nodes.
+    /// The program that started the nodes and of which the launcher is a part.
     pub const fn host(&self) -> &'static dyn Host {
         self.host
     }
@@ -121,12 +121,12 @@ impl Children {
         self.network.is_some()
     }
 
-    /// The nodes.
+    /// The nodes that this launcher runs.
     pub fn nodes(&self) -> impl Iterator<Item = NodeId> {
         self.processes.iter().map(|process| process.node)
     }
 
-    /// The process id of a node.
+    /// The id of the process in which a node runs.
     pub fn pid(&self, node: NodeId) -> u32 {
         match self.of(node).map(|process| &process.body) {
             Some(Body::Process(child)) => child.id(),
@@ -188,7 +188,7 @@ impl Children {
         true
     }
 
-    /// Waits for all processes to end, at most for `patience`, then kills the rest. Returns how each ended.
+    /// Waits for all nodes to end, at most for `patience`, then kills those that have not ended. Returns how each node ended.
     pub fn wait(&mut self, patience: Duration) -> Vec<(NodeId, End)> {
         let deadline = Instant::now() + patience;
         // A node that did not get the order to stop stops when its pipe ends.
@@ -218,7 +218,7 @@ impl Process {
                     thread::sleep(Duration::from_millis(2));
                 }
                 match thread.take().map(JoinHandle::join) {
-                    // A node whose restart failed was joined before, so it has no thread here.
+                    // The thread of a node whose restart failed was joined before, so there is none here.
                     Some(Ok(Ok(()))) | None if killed => End::Killed,
                     Some(Ok(Ok(()))) => End::Clean,
                     Some(Ok(Err(error))) => End::Code(host.exit_code(Some(&error))),
@@ -286,17 +286,17 @@ fn as_thread(
     Ok((Body::Thread(Some(thread)), Box::new(orders), Box::new(words)))
 }
 
-/// How long a killed node may take to exit before its restart.
+/// How long the process of a killed node may take to exit before the node's restart.
 const BURIAL: Duration = Duration::from_secs(3);
 
-/// How a node's process ended.
+/// How a node's process or thread ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
     /// The process ended with exit code 0.
     Clean,
     /// The launcher killed the process, as a scheduled fault.
     Killed,
-    /// The process ended with an exit code that names the problem.
+    /// The process ended with this exit code, which names the problem.
     Code(i32),
     /// A signal that the launcher did not send ended the process.
     Signal(i32),
@@ -314,7 +314,7 @@ impl End {
         }
     }
 
-    /// `None` if the process ended as it should; otherwise whether the node itself is at fault.
+    /// Returns `None` if the process ended as it should; otherwise whether the node itself is at fault.
     pub fn at_fault(self) -> Option<bool> {
         match self {
             Self::Clean | Self::Killed => None,

@@ -14,7 +14,7 @@ pub enum LaunchError {
     NotReady {
         /// The node's name.
         name: String,
-        /// Whether the node exited because of the request or the system, not by a fault of this program.
+        /// Whether the node exited because of the user's request or the system, not because of a fault of this program.
         refused: bool,
     },
     /// The user pressed Ctrl-C before all nodes were ready.

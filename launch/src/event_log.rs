@@ -1,4 +1,4 @@
-//! The event log of a run: it passes every fact once to all folds.
+//! The event log of a run: it passes every fact once to all folds, which compute the results.
 
 use crate::checks::Judge;
 use crate::fact::{Fact, Fold};
@@ -13,19 +13,20 @@ use crate::run::Run;
 use imrs_protocol::NodeId;
 use std::sync::Arc;
 
-/// The folds of a run. The facts themselves are not kept: a run may last for months.
+/// The folds of a run: each computes one result from the facts. The facts themselves are not kept, because a run may
+/// last for months.
 pub struct EventLog<'a> {
-    /// Gathers the figures of the run's summary.
+    /// Collects the counts for the run's summary.
     pub gatherer: Gatherer,
-    /// The verdicts on the checks.
+    /// Judges the checks of the cell.
     pub judge: Judge<'a>,
     /// The tasks that still run.
     pub standing: Standing<'a>,
-    /// The trouble with tasks.
+    /// The problems of tasks so far.
     pub trouble: TaskTrouble,
     /// The lines for people, if they are shown.
     pub timeline: Option<Timeline<'a>>,
-    /// The events that an explanation of the run needs; none if there will be no explanation.
+    /// The events that an explanation of the run needs; `None` if the run gets no explanation.
     pub events: Option<Events>,
     /// When the run began, in microseconds of the clock that all processes of one machine share.
     pub began: u64,
@@ -34,7 +35,7 @@ pub struct EventLog<'a> {
 }
 
 impl<'a> EventLog<'a> {
-    /// An event log for a run in which these nodes report; there are no facts yet.
+    /// Makes the event log of a run in which these nodes report; there are no facts yet.
     pub fn new(run: &Run<'a>, here: Vec<NodeId>) -> Self {
         let (loaded, table) = (run.loaded, &run.loaded.table);
         Self {
@@ -68,7 +69,8 @@ impl<'a> EventLog<'a> {
         }
     }
 
-    /// Lets the judge judge the checks up to the instant before which everything is reported. Each new break is a fact, too.
+    /// Lets the judge evaluate the checks up to the instant before which every node has reported everything. Each new
+    /// break of a check is a fact, too.
     pub fn judge(&mut self) {
         for broken in self.judge.settle() {
             let at = broken.at;
@@ -78,7 +80,7 @@ impl<'a> EventLog<'a> {
 }
 
 /// The judge also judges recordings, which have no launcher. So it has methods of its own, and this implementation
-/// turns each fact into a call of one of them.
+/// calls one of them for each fact.
 impl Fold for Judge<'_> {
     fn take(&mut self, at: u64, fact: &Fact) {
         match fact {

@@ -28,9 +28,9 @@ use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-/// Time limit for all nodes to become ready.
+/// How long all nodes together may take to become ready.
 const READY_WITHIN: Duration = Duration::from_secs(20);
-/// How long a process may take to end after its last message. After a second Ctrl-C the nodes have this long, too.
+/// How long a process may take to end after its last message. After a second Ctrl-C the nodes get this time, too.
 const EXIT_WITHIN: Duration = Duration::from_secs(1);
 /// Capacity of the queue of messages from the nodes to the launcher. When it is full, nodes keep their own messages and
 /// count those that they drop.
@@ -38,7 +38,7 @@ const WORDS: usize = 8_192;
 /// The length of a run for which the user gave none.
 const WITHOUT_END: Duration = Duration::from_secs(u32::MAX as u64);
 
-/// A run whose nodes run.
+/// A run whose nodes have started.
 ///
 /// The program calls [`advance`](Self::advance) and [`wait`](Self::wait) in turns until the run is over, then
 /// [`finish`](Self::finish).
@@ -49,27 +49,29 @@ pub struct Launcher<'a> {
     children: Children,
     messages: Receiver<Message>,
     log: EventLog<'a>,
-    /// The pipe with notices about commands of actions, if there are any.
+    /// The named pipe for notices about the commands of actions, if the run has such commands.
     noticed: Option<Noticed>,
-    /// Messages that nodes sent before all nodes had started.
+    /// Messages of nodes that arrived before all nodes had started.
     early: Vec<Message>,
     /// The addresses of the nodes.
     book: BTreeMap<String, SocketAddr>,
     /// The TCP addresses at which nodes serve monitors.
     observed: BTreeMap<String, SocketAddr>,
-    /// Faults that are still to be injected, by their time since the start.
+    /// Faults that are still to be injected, each with its time since the start of the run.
     faults: Vec<(Duration, Fault)>,
     /// The fault that waits for an action to begin, and how often that action has begun so far.
     moment: Option<(Moment, usize)>,
     started: Instant,
+    /// When each running node last sent a message.
+    heard: BTreeMap<NodeId, Instant>,
     /// Whether the launcher has already put into the event log that only tasks are left that serve for ever.
     idle_told: bool,
     interrupts: Interrupts,
-    /// The earlier deadline for readiness, set by the first Ctrl-C.
+    /// The earlier limit for the nodes to become ready, which the first Ctrl-C sets.
     ready_by: Option<Instant>,
 }
 
-/// A running node.
+/// A node that has started, as the program shows it to the user.
 #[derive(Clone, Debug, Serialize)]
 pub struct StartedNode<'a> {
     /// The node's name.
@@ -78,7 +80,7 @@ pub struct StartedNode<'a> {
     pub tasks: Vec<&'a str>,
     /// The id of the node's process.
     pub pid: u32,
-    /// The node's socket, if it has one.
+    /// The address of the node's UDP socket, if it has one.
     pub address: Option<SocketAddr>,
     /// The TCP address at which the node serves monitors.
     pub observe: Option<SocketAddr>,
@@ -113,12 +115,14 @@ impl<'a> Launcher<'a> {
             faults: run.faults.clone(),
             moment: run.moment.clone().map(|moment| (moment, 0)),
             started: Instant::now(),
+            heard: BTreeMap::new(),
             idle_told: false,
             interrupts,
             ready_by: None,
         };
         launcher.make_ready()?;
         launcher.started = Instant::now();
+        launcher.heard = launcher.children.nodes().map(|node| (node, launcher.started)).collect();
         Ok(launcher)
     }
 
@@ -148,7 +152,7 @@ impl<'a> Launcher<'a> {
         let deadline = Instant::now() + READY_WITHIN;
         let mut heard: BTreeMap<NodeId, T> = BTreeMap::new();
         while heard.len() < self.children.len() {
-            // After Ctrl-C, nodes that are nearly ready still get the time to stop in order.
+            // After Ctrl-C, nodes that are nearly ready still get time to stop in order.
             if self.interrupts.count() > 0 {
                 self.ready_by.get_or_insert_with(|| Instant::now() + EXIT_WITHIN);
             }
@@ -204,7 +208,7 @@ impl<'a> Launcher<'a> {
         }
     }
 
-    /// The nodes that run here.
+    /// The nodes that this launcher runs.
     pub fn nodes(&self) -> impl Iterator<Item = StartedNode<'_>> {
         self.children.nodes().map(|id| {
             let name = self.children.name(id);
@@ -225,13 +229,20 @@ impl<'a> Launcher<'a> {
         self.started.elapsed()
     }
 
+    /// For how long the most silent of the running nodes has sent no message. A node that works sends its counters five times
+    /// a second.
+    #[must_use]
+    pub fn silent_for(&self) -> Duration {
+        self.heard.values().map(Instant::elapsed).max().unwrap_or_default()
+    }
+
     /// How many rounds have released all members so far; `None` in a cell without waitfors.
     #[must_use]
     pub fn released(&self) -> Option<u64> {
         self.log.gatherer.released()
     }
 
-    /// The signals that asked for the end of the run.
+    /// The count of signals that ask for the end of the run.
     #[must_use]
     pub fn interrupts(&self) -> Interrupts {
         self.interrupts.clone()
@@ -243,12 +254,12 @@ impl<'a> Launcher<'a> {
         self.log.timeline.as_ref().is_some_and(|timeline| !timeline.is_empty())
     }
 
-    /// Takes the lines for people that no earlier line can precede any more.
+    /// Takes the lines for people that are old enough that no earlier line can still come.
     pub fn lines(&mut self) -> Vec<Line> {
         self.log.timeline.as_mut().map(|timeline| timeline.settled(now_us())).unwrap_or_default()
     }
 
-    /// Takes all lines for people.
+    /// Takes all remaining lines for people.
     pub fn last_lines(&mut self) -> Vec<Line> {
         self.log.timeline.as_mut().map(|timeline| timeline.settled(u64::MAX)).unwrap_or_default()
     }

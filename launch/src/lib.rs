@@ -1,19 +1,20 @@
 //! Runs a cell: one process per node over loopback UDP, or all nodes in one process.
 //!
-//! The launcher starts this executable once more for every node, and collects the addresses of their sockets over pipes. It
-//! then distributes the address book, injects the faults on time, and takes the nodes' reports. It is not part of the cell:
-//! no message between nodes passes through it.
+//! The launcher starts its own executable once more for every node, and collects the addresses of the nodes' sockets
+//! over pipes. It then distributes the address book, injects the faults on time, and takes the nodes' reports. It is
+//! not part of the cell: no message between nodes passes through it.
 //!
-//! Every fact of a run passes once through the event log to its folds: the summary with the tallies of the rounds, the judge of
-//! the checks, the lines for people, the story for an explanation, the tasks that still run and the trouble.
+//! Every fact of a run passes once through the event log to the folds, each of which computes one result: the summary
+//! with the outcomes of the rounds, the verdicts on the checks, the lines for people, the story for an explanation, the
+//! tasks that still run, and the problems.
 //!
 //! ```text
 //!   node processes --> Word --.
 //!   faults, deaths, notices --+--> Fact --> event log --> folds --> Launcher::lines while it runs, Ended at its end
 //! ```
 //!
-//! This crate prints nothing and knows no command line: the command `imrs` asks it for lines and results ([`Launcher`]), and
-//! gives it the few things that a node needs of its program ([`Host`]).
+//! This crate prints nothing and knows no command line. The command `imrs` takes lines and results from it
+//! ([`Launcher`]), and provides the few functions that a node needs of its program ([`Host`]).
 #![forbid(unsafe_code)]
 
 pub mod cells;

@@ -13,21 +13,21 @@ use tempfile::TempDir;
 pub struct Noticed {
     path: PathBuf,
     pipe: File,
-    /// The beginning of a line that has not been read to its end.
+    /// The beginning of a notice whose end has not been read yet.
     begun: Vec<u8>,
     _dir: TempDir,
 }
 
 impl Noticed {
-    /// Creates the pipe, in a folder that only this user can open.
+    /// Creates the named pipe, in a folder that only this user can open.
     ///
     /// # Errors
-    /// There is no folder for temporary files, or a pipe cannot be created in it.
+    /// An error if there is no folder for temporary files, or a pipe cannot be created in it.
     pub fn new() -> io::Result<Self> {
         let dir = tempfile::Builder::new().prefix("imrs").tempdir()?;
         let path = dir.path().join("commands");
         mknodat(CWD, &path, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0)?;
-        // The pipe is opened for writing, too, so that reading never meets the end of the file.
+        // The launcher opens the pipe for writing, too, so that reading never meets the end of the file.
         let flags = OFlags::RDWR | OFlags::NONBLOCK | OFlags::CLOEXEC;
         let pipe = File::from(open(&path, flags, Mode::empty())?);
         Ok(Self { path, pipe, begun: Vec::new(), _dir: dir })

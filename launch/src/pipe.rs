@@ -14,14 +14,14 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use zeroize::Zeroizing;
 
-/// Room for most setups: a buffer that grows leaves a copy of the keys behind. Other lines have none, and erasing so much for each
-/// of them would take longer than to write it.
+/// Room for most setups. A buffer that grows leaves a copy of the keys behind in memory. Other lines get no such room,
+/// because erasing so much memory for each of them would take longer than writing the line.
 const SETUP_BYTES: usize = 1 << 15;
 
 /// The first line to a node: its identity and how it runs.
 #[derive(Clone, PartialEq, Serialize, Deserialize)]
 pub struct Setup {
-    /// The cell that the node belongs to.
+    /// The cell to which the node belongs.
     pub cell: Source,
     /// The name of the node.
     pub node: String,
@@ -31,15 +31,15 @@ pub struct Setup {
     pub restarted: bool,
     /// Whether the node counts its incarnations itself, because it is the only one that this launcher runs.
     pub counts: bool,
-    /// The address of the node's socket; none: any free port of the loopback.
+    /// The address of the node's socket; `None` means any free port of the loopback.
     pub bind: Option<SocketAddr>,
-    /// The text of the node's key file, if keys close its datagrams.
+    /// The text of the node's key file, if the node has keys.
     pub keys: Option<KeyText>,
-    /// Whether nothing but checksums closes its datagrams.
+    /// Whether the node runs without keys, so that only checksums protect its datagrams.
     pub insecure: bool,
     /// The TCP address at which the node serves monitors.
     pub observe: Option<SocketAddr>,
-    /// The token that monitors must present at that address.
+    /// The token that monitors must have at that address.
     pub observe_token: Option<Token>,
     /// Whether the node runs under the real-time scheduler.
     pub rt: bool,
@@ -53,28 +53,28 @@ pub struct Setup {
     pub force: bool,
     /// The command to execute for each action.
     pub actions: BTreeMap<String, Vec<String>>,
-    /// The pipe for notices to the launcher about commands, if there are any.
+    /// The named pipe for notices to the launcher about commands, if there is one.
     pub notices: Option<PathBuf>,
     /// How results of simulated actions change with time.
     pub ramps: Vec<Ramp>,
 }
 
-/// Every later line to a node. When the pipe ends, the launcher has exited, and the node stops.
+/// Every later line to a node. When the pipe ends, the launcher has exited, and the node must stop.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Order {
-    /// The addresses of nodes by name. The first such message starts the node; a later one has changed
+    /// The addresses of nodes by name. The first such message starts the node; later messages have only changed
     /// addresses.
     Book(BTreeMap<String, SocketAddr>),
     /// The TCP addresses at which nodes serve monitors, by node name.
     Observed(BTreeMap<String, SocketAddr>),
-    /// Stop sending to this node.
+    /// The node must stop sending to this node.
     Cut(String),
-    /// Send to this node again.
+    /// The node must send to this node again.
     Heal(String),
-    /// Stop in order, and report the final counters.
+    /// The node must stop in order, and report its final counters.
     Stop,
-    /// Stop as after a power cut. Only for a node that shares its process with others.
+    /// The node must stop as after a power cut. Only for a node that shares its process with other nodes.
     Die,
 }
 
@@ -89,7 +89,7 @@ pub enum Word {
         /// The TCP address at which the node serves monitors.
         observe: Option<SocketAddr>,
     },
-    /// The node was restarted, and the scripts of these tasks are held back, each for so many microseconds.
+    /// The node was restarted, and the scripts of these tasks are held back, each for this many microseconds.
     HeldBack(Vec<(TaskId, u64)>),
     /// The node's tasks run.
     Started,
@@ -105,19 +105,19 @@ pub enum Word {
         task: TaskId,
         /// How the script ended, in words for people.
         how: String,
-        /// How that end counts for the verdict.
+        /// How the end of the script counts for the verdict.
         sort: EndSort,
     },
-    /// Values of a task that checks read have changed.
+    /// Values of a task have changed that checks read.
     Stands(Change),
-    /// Everything before this instant has been reported. Microseconds of the clock that all processes share.
+    /// The node has reported everything before this instant, in microseconds of the clock that all processes share.
     Told(u64),
     /// The node dropped script events, because the launcher did not read its pipe fast enough.
     Untold {
         /// When the first dropped event happened, in microseconds of the clock that all processes share.
         since: u64,
     },
-    /// The last message: everything has been reported.
+    /// The last message: the node has reported everything.
     Done,
 }
 
@@ -154,11 +154,11 @@ pub struct Event {
 pub enum What {
     /// The task's arrival in this round was announced.
     Announced,
-    /// All members of the rendezvous have arrived, and the task goes on.
+    /// All members of the rendezvous had arrived, and the task goes on.
     Released,
-    /// The task's time_out ended before all had arrived.
+    /// The task's time_out ended before all members had arrived.
     GaveUp {
-        /// Time waited, in microseconds.
+        /// How long the task had waited, in microseconds.
         waited: u64,
         /// A bit mask: bit `i` says that party `i` of the port (the owner is party 0) had not arrived.
         missing: u64,
@@ -172,17 +172,17 @@ pub struct Figures {
     pub ports: Vec<(TaskId, PortId, PortCounters)>,
     /// How the class-2 messages of the node's tasks ended.
     pub outcomes: Outcomes,
-    /// Packets and messages that the node's state machines dropped, by reason.
+    /// How many packets and messages the node's state machines dropped, by reason.
     pub discards: BTreeMap<String, u64>,
-    /// Packets that the node's link dropped, by reason.
+    /// How many packets the node's link dropped, by reason.
     pub link_discards: BTreeMap<String, u64>,
     /// Other counters of the node's link.
     pub link: BTreeMap<String, u64>,
-    /// Packets that left through the node's transit buffer: its own, and those that it relayed.
+    /// How many packets left through the node's transit buffer: its own, and those that it relayed.
     pub forwarded: u64,
-    /// Packets that the node's link lost on purpose.
+    /// How many packets the node's link dropped on purpose, as a random loss.
     pub lost_on_purpose: u64,
-    /// Packets that the node's link dropped because of a cut.
+    /// How many packets the node's link dropped because of a cut.
     pub cut_off: u64,
     /// The neighbours that it refuses, because their cells, keys or versions differ.
     pub refusals: Vec<RefusalFigures>,
@@ -206,7 +206,7 @@ pub struct RefusalFigures {
 }
 
 impl RefusalFigures {
-    /// The message for people.
+    /// The refusal as text for people.
     pub fn words(&self, node: &str) -> String {
         let Self { neighbour, reason, ours, theirs } = self;
         let what = match reason.as_str() {
@@ -237,15 +237,15 @@ impl RefusalFigures {
 /// How class-2 messages ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Outcomes {
-    /// Commands that were answered.
+    /// How many commands were answered.
     pub replies: u64,
-    /// Commands that were refused, because there was no space.
+    /// How many commands were refused, because there was no room.
     pub refused: u64,
-    /// Commands that timed out before any copy left.
+    /// How many commands timed out before any copy left the node.
     pub timed_out_unsent: u64,
-    /// Commands that timed out after a copy left: they may have run.
+    /// How many commands timed out after a copy left the node: they may have run.
     pub timed_out_unknown: u64,
-    /// Commands whose peer restarted before it answered: they may have run.
+    /// How many commands ended because the receiver's node restarted before it answered: they may have run.
     pub peer_restarted: u64,
 }
 
@@ -260,7 +260,7 @@ impl std::ops::AddAssign for Outcomes {
 }
 
 impl Figures {
-    /// Adds the counters of another incarnation of the node.
+    /// Adds the counters of another incarnation of the same node.
     pub fn add(&mut self, other: &Self) {
         self.ports.extend_from_slice(&other.ports);
         self.outcomes += other.outcomes;
@@ -286,15 +286,15 @@ impl Figures {
 /// Writes a value as one line.
 ///
 /// # Errors
-/// The pipe failed: most likely the other process has exited.
+/// An error if the pipe failed: most likely the other process has exited.
 pub fn say(pipe: &mut impl Write, line: &impl Serialize) -> io::Result<()> {
     write_line(pipe, line, &mut Vec::new())
 }
 
-/// Writes a setup, which may have keys in it, as one line: what was written of it is erased from memory.
+/// Writes a setup, which may contain keys, as one line. The written bytes are then erased from memory.
 ///
 /// # Errors
-/// As of [`say`].
+/// The errors of [`say`].
 pub fn say_setup(pipe: &mut impl Write, setup: &Setup) -> io::Result<()> {
     write_line(pipe, setup, &mut Zeroizing::new(Vec::with_capacity(SETUP_BYTES)))
 }
@@ -306,18 +306,19 @@ fn write_line(pipe: &mut impl Write, line: &impl Serialize, text: &mut Vec<u8>) 
     pipe.flush()
 }
 
-/// Reads one line; `None` at the end of the pipe. An unfinished last line comes from a killed process, and counts as the end.
+/// Reads one line; `None` at the end of the pipe. An unfinished last line counts as the end, because it comes from a
+/// killed process.
 ///
 /// # Errors
-/// The pipe failed, or the line does not parse.
+/// An error if the pipe failed, or the line cannot be parsed.
 pub fn hear<T: for<'de> Deserialize<'de>>(pipe: &mut impl BufRead) -> io::Result<Option<T>> {
     read_line(pipe, &mut String::new())
 }
 
-/// Reads a setup as [`hear`] does: what was read is erased from memory.
+/// Reads a setup as [`hear`] does. The bytes that were read are then erased from memory.
 ///
 /// # Errors
-/// As of `hear`.
+/// The errors of [`hear`].
 pub fn hear_setup(pipe: &mut impl BufRead) -> io::Result<Option<Setup>> {
     read_line(pipe, &mut Zeroizing::new(String::with_capacity(SETUP_BYTES)))
 }

@@ -10,13 +10,13 @@ pub struct Did {
     pub at: u64,
     /// The task whose script acted.
     pub task: TaskId,
-    /// The line in the cell file.
+    /// The line of the statement in the cell file.
     pub line: Option<usize>,
     /// What the script did.
     pub what: ScriptEvent,
 }
 
-/// What a script did.
+/// An act of a script, or an event at it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ScriptEvent {
@@ -26,7 +26,7 @@ pub enum ScriptEvent {
     Met(PortId),
     /// The task gave up at a waitfor, because its time_out ended.
     GaveUp {
-        /// The port of the statement that gave up.
+        /// The port of the waitfor.
         port: PortId,
         /// The tasks that had not arrived.
         missing: Vec<TaskId>,
@@ -37,7 +37,7 @@ pub enum ScriptEvent {
     Unanswered {
         /// The message's port.
         port: PortId,
-        /// How the request ended.
+        /// Why the message was not answered.
         how: Unanswered,
     },
     /// An action begins.
@@ -68,13 +68,13 @@ pub enum ScriptEvent {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Unanswered {
-    /// The message was refused, because there was no space.
+    /// The message was refused, because there was no room.
     Refused,
-    /// The request timed out before any copy left.
+    /// The request timed out before any copy left the node.
     NeverLeft,
-    /// The request timed out after a copy left: it may have run.
+    /// The request timed out after a copy left the node: it may have run.
     Unknown,
-    /// The peer restarted before it answered: the request may have run.
+    /// The receiver's node restarted before it answered: the request may have run.
     PeerRestarted,
 }
 
@@ -86,12 +86,12 @@ pub enum Lease {
     Granted,
     /// The task takes over from its partner.
     TookOver,
-    /// The task may no longer act.
+    /// The task may not act any more.
     Fenced,
 }
 
 impl ScriptEvent {
-    /// Whether the event log shows the event even when the task has more events than it shows.
+    /// Whether the timeline shows the event even if the task has more events than the timeline shows.
     pub const fn is_rare(&self) -> bool {
         matches!(self, Self::Lease(_) | Self::Ended(_))
     }

@@ -8,10 +8,10 @@ use imrs_client::place::{self, observed_at};
 use imrs_protocol::NodeId;
 use std::path::{Path, PathBuf};
 
-/// The setups of all nodes that run here.
+/// The setups of all nodes that this launcher runs.
 ///
 /// # Errors
-/// The only node that runs here has no address, or the keys cannot be used.
+/// An error if the only node that this launcher runs has no address, or if the keys cannot be used.
 pub fn setups(run: &Run<'_>, notices: Option<&Path>) -> Result<Vec<(NodeId, Setup)>, LaunchError> {
     let cell = run.loaded.table.cell();
     let mut keys = keys_of(run)?;
@@ -26,7 +26,7 @@ pub fn setups(run: &Run<'_>, notices: Option<&Path>) -> Result<Vec<(NodeId, Setu
             node: node.name.clone(),
             incarnation: 0,
             restarted: false,
-            // A node that runs alone counts its incarnations itself, because its neighbours may have heard of an earlier one
+            // A node that runs alone counts its incarnations itself, because its neighbours may remember an earlier one
             // (D49).
             counts: run.only.is_some(),
             bind: None,
@@ -52,7 +52,7 @@ pub fn setups(run: &Run<'_>, notices: Option<&Path>) -> Result<Vec<(NodeId, Setu
     Ok(all)
 }
 
-/// The keys of each node that runs here, by the node's id.
+/// The keys of each node that this launcher runs, by the node's id.
 fn keys_of(run: &Run<'_>) -> Result<Vec<Option<KeyText>>, LaunchError> {
     match (&run.keys, run.only) {
         (Keys::Drawn, _) if !run.in_process => Ok(keys::draw(run.loaded)?.into_iter().map(Some).collect()),

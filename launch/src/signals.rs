@@ -1,4 +1,4 @@
-//! Counts Ctrl-C, SIGTERM and SIGHUP. Each ends the run in order, with its summary.
+//! Counts Ctrl-C, SIGTERM and SIGHUP. Each of these signals ends the run in order, with its summary.
 
 use crate::children::Message;
 use crate::error::LaunchError;
@@ -14,10 +14,10 @@ use std::thread;
 pub struct Interrupts(Arc<AtomicU64>);
 
 impl Interrupts {
-    /// Starts a thread that counts each signal, and wakes the receiver of messages.
+    /// Starts a thread that counts each signal, and wakes the launcher, which receives `messages`.
     ///
     /// # Errors
-    /// The operating system refuses a handler or a thread.
+    /// An error if the operating system refuses a handler or a thread.
     pub(crate) fn watch(messages: SyncSender<Message>) -> Result<Self, LaunchError> {
         let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP]).map_err(LaunchError::Start)?;
         let own = Self::default();
@@ -25,7 +25,7 @@ impl Interrupts {
         let watch = move || {
             for _ in signals.forever() {
                 counted.0.fetch_add(1, Ordering::Relaxed);
-                // If the queue is full, its receiver is awake. If the receiver is gone, the count is enough.
+                // If the queue is full, its receiver is awake. If the receiver is gone, counting the signal is enough.
                 let _ = messages.try_send(Message::Interrupted);
             }
         };

@@ -190,7 +190,8 @@ const fn rust_type(of: Type) -> &'static str {
     }
 }
 
-/// A name of the cell as a Rust identifier: `type` becomes `r#type`. A name that cannot be raw gets a `_` behind it.
+/// A name of the cell as a Rust identifier: `type` becomes `r#type`. A name that cannot be a raw identifier gets a `_` at
+/// its end.
 fn ident(name: &str) -> Ident {
     let name = plain(name);
     let raw = || syn::parse_str::<Ident>(&format!("r#{name}"));

@@ -1,6 +1,6 @@
 //! Macros for Rust programs that are tasks of a cell. [`cell!`] compiles a cell file into the program; [`derive@Message`]
-//! lays a struct out as the cell language lays out its records. Their output refers to `imrs_runtime`, so the program must
-//! depend on that crate.
+//! lays a struct out as the cell language lays out its records. The output of both macros refers to `imrs_runtime`, so the
+//! program must depend on that crate.
 
 #![forbid(unsafe_code)]
 
@@ -18,9 +18,9 @@ use syn::{DeriveInput, LitStr, parse_macro_input};
 /// - `table()`: the table of the cell, in microseconds, made once.
 /// - `builder(node)`: an `imrs_runtime::Builder` of this node with the scripts of the cell. The program adds the bodies of
 ///   the `extern` tasks and the functions of the actions.
-/// - `nodes`, `tasks`, `ports`: a module with a constant for each, in capitals.
+/// - `nodes`, `tasks`, `ports`: modules with a constant for each node, task and port, in capitals.
 /// - for each record, a struct of its name that is a `Message`.
-/// - `messages` and `answers`: the type of what each port sends and of what it answers, under the port's name.
+/// - `messages` and `answers`: modules with the type of each port's messages and of its answers, under the port's name.
 ///
 /// ```
 /// mod vision {

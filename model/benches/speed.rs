@@ -1,7 +1,8 @@
-//! The checker's speed and size, measured: interleaved rounds, medians, ratios. Run it with `cargo bench -p imrs-model`.
+//! Measures the checker's speed and size, in interleaved rounds, as medians and ratios. Run it with `cargo bench -p
+//! imrs-model`.
 //!
-//! Every pair of figures that is compared is taken in turns within one round, so that a slow moment of the machine
-//! falls on both.
+//! Every pair of figures that is compared is taken in turns within one round, so that a slow moment of the computer affects
+//! both.
 
 #[path = "../tests/support/mod.rs"]
 #[allow(dead_code, reason = "the benchmark uses a part of what the tests share")]
@@ -56,7 +57,8 @@ fn packed_against_cloned(rounds: usize, states: u64) {
     );
 }
 
-/// How much of a transition is the state machine itself: the rest is packing, hashing and the visited set.
+/// How much of a transition is the state machine itself: the remaining time goes into packing, hashing and the set of
+/// visited states.
 fn share_of_the_machine(rounds: usize, states: u64) {
     let scenario = with(Reductions::NONE, &timed(3, Watch::FalseRelease, 1, 3, 6));
     let mut shares = Vec::new();
@@ -87,7 +89,8 @@ impl Outbox for Sent {
     }
 }
 
-/// Seconds that one `handle` takes on average over whole meetings of three, time included.
+/// Seconds that one call of `handle` takes on average over whole meetings of three members, including inputs of passing
+/// time.
 fn handle() -> f64 {
     const MEETINGS: u32 = 4_000;
     let scenario = scenario(&Meeting { attempts: None, ..timed(3, Watch::FalseRelease, 1, 3, 6) });
@@ -123,7 +126,7 @@ fn handle() -> f64 {
     spent.as_secs_f64() / f64::from(handled)
 }
 
-/// How many times fewer states the reductions leave, on a world that is small enough without them.
+/// By which factor the reductions lower the number of states, in a world that can also be searched without them.
 fn reductions(most: u64) {
     let worlds =
         [("3 members, no loss, sent once", patient(0)), ("3 members, 1 loss, sent once", patient(1))];
@@ -162,26 +165,27 @@ fn sizes(quick: bool) {
         let found = explore(&scenario(&meeting), limits(most), None);
         show(name, &found, 128);
     }
-    // What a state costs besides its bytes shows in one step: all its successors.
+    // The successors of one state show what a state costs besides its bytes.
     let scenario = scenario(&timed(4, Watch::FalseRelease, 1, 3, 5));
     let model = WorldModel::new(&scenario, Limits::default());
     let first = model.init_states().remove(0);
     black_box(successors(&model, &first));
 }
 
-/// Three members with the least time_out at which they are released, that send every packet once.
+/// A meeting of three members that send every packet once. The time_out is the least one with which they can be released.
 fn patient(loss: u8) -> Meeting {
     let budget = Budget { loss, dup: 0, crash: 0 };
     Meeting { resend: None, budget, ..timed(3, Watch::FalseRelease, 0, 1, 3) }
 }
 
-/// Members that never give up and send every packet once. One packet is lost.
+/// A meeting of members that never give up and send every packet once. One packet is lost.
 fn once(members: usize) -> Meeting {
     let budget = Budget { loss: 1, dup: 0, crash: 0 };
     Meeting { delay: Some(1), budget, ..Meeting::new(members, Watch::FalseRelease) }
 }
 
-/// Four members with one loss: without time, with every packet sent once, and with time_outs and re-sending.
+/// Meetings of four members with one lost packet: without time, with every packet sent once, and with time_outs and
+/// retransmission.
 fn four() -> [(&'static str, Meeting); 3] {
     [
         ("4 members, 1 loss, no time", Meeting { delay: None, ..once(4) }),

@@ -1,9 +1,10 @@
-//! The checker against SPIN on hand-written Promela of the same protocol at equal bounds: time and memory to the same
-//! verdict. Run it with `cargo bench -p imrs-model --bench twin`.
+//! Compares the checker with SPIN, which searches hand-written Promela models of the same protocol at equal bounds: time
+//! and memory until the same verdict. Run it with `cargo bench -p imrs-model --bench twin`.
 //!
-//! All tools run on one thread, each search in a process of its own, in turns within each round, so that a slow moment
-//! of the machine falls on all of them. Times are those of the whole process; what SPIN needs before it can search (writing
-//! and compiling the verifier) is shown apart. Memory is the most that was resident, as the system tells for both.
+//! All tools run on one thread, each search in a process of its own, in turns within each round, so that a slow moment of
+//! the computer affects all of them. Times are those of the whole process; what SPIN needs before it can search (writing
+//! and compiling the verifier) is shown apart. Memory is the greatest resident memory, which the operating system reports
+//! for both.
 
 #[path = "../tests/support/spin.rs"]
 mod spin;
@@ -18,14 +19,15 @@ use std::time::{Duration, Instant};
 
 const ROUNDS: usize = 3;
 
-/// A world in both descriptions.
+/// A world, described for the checker and for SPIN.
 struct World {
     name: &'static str,
     meeting: Meeting,
     model: &'static str,
     /// The macro definitions that give the Promela model this world's size and rules.
     definitions: &'static [&'static str],
-    /// The macro definitions with which the Promela model drops values that no longer change anything, as the checker does.
+    /// The macro definitions with which the Promela model drops values that can no longer change behaviour, as the checker
+    /// does.
     reduced: &'static [&'static str],
 }
 
@@ -91,7 +93,7 @@ struct Tool {
     runs: Vec<Run>,
 }
 
-/// One search.
+/// The measurements of one search.
 #[derive(Clone, Copy, Debug)]
 struct Run {
     seconds: f64,
@@ -175,7 +177,7 @@ fn verifiers(world: &World, folder: &Path) -> Vec<Tool> {
             let verifier =
                 spin::build(&folder, &Path::new(spin::MODELS).join(world.model), &definitions, flags);
             let built = start.elapsed().as_secs_f64();
-            // A hash table that fits, as an engineer who knows SPIN would choose it: the default one takes 128 MB.
+            // A hash table that fits, as an engineer who knows SPIN would choose it: the default hash table takes 128 MB.
             let states = verifier.run(&[]).states;
             let size = states.next_power_of_two().ilog2().max(16);
             tools.push(Tool {
@@ -219,7 +221,7 @@ fn measure(command: &[String]) -> Run {
     Run { seconds, megabytes, states: verdict.states, holds: verdict.holds, said_megabytes }
 }
 
-/// The most memory that was resident so far, in megabytes; none if the system does not report it.
+/// The greatest resident memory so far, in megabytes; `None` if the system does not report it.
 fn most_resident(child: &Child) -> Option<f64> {
     let status = std::fs::read_to_string(format!("/proc/{}/status", child.id())).ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;

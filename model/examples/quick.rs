@@ -1,13 +1,11 @@
-//! Checks the quick claims, or those of one name, until one does not come out as expected, and names that one. For
-//! runs that try many versions of the protocol.
+//! Checks the quick claims, or only those with a given name, until one does not come out as expected, and prints the name
+//! of that claim. For runs that try many versions of the protocol.
 //!
-//! `quick [CLAIM]`: the exit code is 0 where all came out as expected, 1 where one did not, 2 where no claim has this
-//! name.
+//! `quick [CLAIM]`: the exit code is 0 if all claims came out as expected, 1 if one did not, 2 if no claim has this name.
 
 use imrs_model::{Options, Progress, Verdict, claim_names, verify};
 
-/// Ends the process at the first claim that does not come out as expected, because further ones do not
-/// matter.
+/// Ends the process at the first claim that does not come out as expected, because further claims do not matter.
 struct UntilTheFirst;
 
 impl Progress for UntilTheFirst {

@@ -1,7 +1,7 @@
-//! Checks the claims at the large bounds. Prints the result of each row on standard error as soon as it ends, and at
-//! the end writes the report as `imrs verify --full --format json` does.
+//! Checks the claims at the large bounds. Prints the result of each row on standard error as soon as it ends, and at the
+//! end prints the same report as `imrs verify --full --format json`.
 //!
-//! `rows [--quick] [CLAIM]`: with `--quick` without the large bounds.
+//! `rows [--quick] [CLAIM]`: `--quick` checks without the large bounds.
 
 use imrs_model::{Options, Progress, Verdict, verify};
 use std::time::Instant;

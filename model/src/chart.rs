@@ -1,4 +1,4 @@
-//! Counterexamples as sequence charts: what happened, in words, and at which tasks.
+//! Counterexamples as sequence charts, which show in words what happened at which tasks.
 
 mod draw;
 
@@ -24,12 +24,12 @@ pub struct Counterexample {
     pub chart: String,
 }
 
-/// A line of a chart, not yet drawn. Lanes are positions among the chart's names.
+/// A line of a chart that is not drawn yet. Lanes are positions among the chart's names.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Note {
-    /// Something happens at one task, on its lane.
+    /// Something happens at one task, and is drawn on the task's lane.
     Event {
-        /// Ticks since the start.
+        /// Ticks since the start of the path.
         tick: u32,
         /// The number of the lane in which the event stands.
         lane: usize,
@@ -41,7 +41,7 @@ pub enum Note {
     },
     /// A packet between two lanes.
     Packet {
-        /// Ticks since the start.
+        /// Ticks since the start of the path.
         tick: u32,
         /// The lane of the sender.
         from: usize,
@@ -52,13 +52,13 @@ pub enum Note {
         /// What became of the packet; empty if it simply arrived.
         #[serde(rename = "fate")]
         outcome: String,
-        /// The line of the cell's source text that sent it, from 1.
+        /// The line of the cell's source text that sent the packet, from 1.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         line: Option<u32>,
     },
     /// Something happens that belongs to no lane.
     Remark {
-        /// Ticks since the start.
+        /// Ticks since the start of the path.
         tick: u32,
         /// What happens, in words.
         text: String,
@@ -66,13 +66,13 @@ pub enum Note {
 }
 
 impl Note {
-    /// Ticks since the start.
+    /// Ticks from the start of the path to this note.
     pub(crate) const fn tick(&self) -> u32 {
         let (Self::Event { tick, .. } | Self::Packet { tick, .. } | Self::Remark { tick, .. }) = self;
         *tick
     }
 
-    /// The line of the cell's source text to which the note belongs; none if it belongs to none.
+    /// The line of the cell's source text to which the note belongs; `None` if it belongs to no line.
     pub(crate) const fn line(&self) -> Option<u32> {
         match self {
             Self::Event { line, .. } | Self::Packet { line, .. } => *line,
@@ -80,7 +80,7 @@ impl Note {
         }
     }
 
-    /// Adds to the note what the cell's source text says: the line `of`, and the values behind the words.
+    /// Adds to the note the line `of` of the cell's source text, and the values, which are written behind the note's words.
     pub(crate) fn explain(&mut self, of: Option<u32>, values: Option<&str>) {
         let (Self::Event { text, line, .. } | Self::Packet { label: text, line, .. }) = self else { return };
         *line = of;
@@ -115,14 +115,14 @@ fn outcome_words(outcome: &str) -> &str {
     }
 }
 
-/// Draws the path to the violation that an exploration found; `None` if it found none.
+/// Draws the path to the violation that an exploration found; `None` if the exploration found no violation.
 #[must_use]
 pub fn draw(scenario: &Arc<Scenario>, exploration: &Exploration) -> Option<Counterexample> {
     conclude(exploration, |states| walk(scenario, states))
 }
 
-/// Draws the path to the violation that an exploration found, with `walk` as the recorder of its steps; `None` if it found
-/// none.
+/// Draws the path to the violation that an exploration found, with `walk` as the recorder of its steps; `None` if the
+/// exploration found no violation.
 pub(crate) fn conclude<A>(
     exploration: &Exploration<A>,
     walk: impl FnOnce(&[Packed]) -> Option<ChartRecorder>,
@@ -164,7 +164,7 @@ fn carried_by(world: &World, action: Action) -> Option<InFlight> {
     }
 }
 
-/// Records one step from a packed state. Each member gets the lane of its position in that state.
+/// Records one step from a packed state. In the chart each member has the lane of its position in that state.
 pub(crate) fn one_step(scenario: &Arc<Scenario>, state: &Packed, action: Action) -> ChartRecorder {
     let (mut recorder, mut world) = (recorder(scenario), World::new(scenario));
     world.load(state, None);
@@ -176,8 +176,8 @@ pub(crate) fn one_step(scenario: &Arc<Scenario>, state: &Packed, action: Action)
     recorder
 }
 
-/// The step of `world` whose canonical result is `target`. In the states of a path the members are sorted, but in a
-/// chart each member must keep its name. So the path is walked again without sorting members.
+/// The step of `world` whose canonical result is `target`. In the states of a path the members are sorted, but in a chart
+/// each member must keep its name. So the chart replays the path without sorting members.
 fn concrete_step(world: &World, target: &Packed) -> Option<(Action, World)> {
     let mut actions = Vec::new();
     world.actions(&mut actions);
@@ -210,7 +210,7 @@ impl ChartRecorder {
         Self { names, ports: Vec::new(), timers: Vec::new(), notes: Vec::new() }
     }
 
-    /// Lets notes name the port of each message and the timer that ends.
+    /// Lets notes name the port of each message and the name of a timer that ends.
     pub fn naming(self, ports: Vec<String>, timers: Vec<Vec<String>>) -> Self {
         Self { ports, timers, ..self }
     }
@@ -225,7 +225,7 @@ impl ChartRecorder {
         &self.ports
     }
 
-    /// Adds an event at a lane. An event that repeats the previous note is left out.
+    /// Adds an event at a lane. An event that only repeats the previous note is left out.
     pub fn event(&mut self, tick: u32, lane: usize, text: &str) {
         let same = |note: &Note| matches!(note, Note::Event { tick: t, lane: l, text: x, .. } if (*t, *l, &x[..]) == (tick, lane, text));
         if !self.notes.last().is_some_and(same) {
@@ -266,7 +266,7 @@ impl ChartRecorder {
         }
     }
 
-    /// Adds what a step showed about a task.
+    /// Adds notes for what a step showed about a task.
     pub fn shown(&mut self, tick: u32, lane: usize, shown: &Shown) {
         let text = match shown {
             Shown::Seen(seen) => self.told(seen),
@@ -369,7 +369,7 @@ fn said(signal: &Signal, ports: &[String], timers: &[String]) -> Option<String> 
             Some(name) => format!("timer {name} ends, its handler runs"),
             None => "a timer ends, its handler runs".into(),
         }),
-        // The previous event already says that the task is fenced or takes over.
+        // The previous event already says whether the task is fenced or takes over.
         Signal::Interrupt(Call::Fenced | Call::TakeOver(_)) => Some("is interrupted".into()),
         Signal::Fault(fault) => Some(format!("gets an error: {fault}")),
         _ => None,

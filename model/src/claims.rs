@@ -1,5 +1,5 @@
-//! The claims: sentences of the paper or of a decision, with the state spaces whose search decides them. A claim
-//! holds under the default rules, and fails, with its shortest counterexample, under each named variant.
+//! The claims: sentences of the paper or of a decision, each with the state spaces whose search decides it. A claim holds
+//! under the default rules, and fails, with its shortest counterexample, under each named variant.
 
 mod cell_states;
 mod commands;
@@ -24,7 +24,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Which claims to settle, and with which resources.
+/// Which claims to check, and with which resources.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Whether to search within the large bounds.
@@ -33,40 +33,40 @@ pub struct Options {
     pub claim: Option<String>,
     /// How many claims are checked at the same time.
     pub jobs: usize,
-    /// Most resident memory of the process, in bytes.
+    /// The greatest resident memory of the process, in bytes.
     pub memory: u64,
 }
 
-/// Receives progress, from several threads.
+/// Receives the progress of a check, from several threads.
 pub trait Progress: Sync {
     /// A claim begins.
     fn started(&self, name: &str, rule: &str, parties: u32) {
         let _ = (name, rule, parties);
     }
-    /// The claim has explored this many states so far.
+    /// A claim has explored this many states so far.
     fn states(&self, name: &str, states: u64) {
         let _ = (name, states);
     }
-    /// A claim is settled.
+    /// A claim has been settled.
     fn finished(&self, verdict: &Verdict) {
         let _ = verdict;
     }
 }
 
-/// A [`Progress`] that ignores everything.
+/// A [`Progress`] that ignores all reports.
 #[derive(Clone, Copy, Debug)]
 pub struct Silent;
 
 impl Progress for Silent {}
 
-/// One claim under one rule, which is not checked yet.
+/// One claim under one rule, before it is checked.
 pub(crate) struct Claim {
     pub name: &'static str,
     pub rule: &'static str,
     pub parties: u32,
     pub about: &'static str,
     pub expect: Outcome,
-    /// Whether the claim belongs to the quick run.
+    /// Whether the claim belongs to the quick run with small bounds.
     pub smoke: bool,
     pub settle: Box<dyn Fn(&mut Work<'_>) -> Settled + Send + Sync>,
 }
@@ -77,20 +77,20 @@ pub(crate) struct Settled {
     pub bounds: Bounds,
     pub found: Found,
     pub counterexample: Option<Counterexample>,
-    /// Whether the claim's own checks passed: the search found every number that it looks for, and the claim does not hold
+    /// Whether the claim's own checks passed: the search found every number for which it looks, and the claim does not hold
     /// vacuously.
     pub sound: bool,
-    /// A variant that must fail, and whose verdict came from the same search.
+    /// A variant of the claim that must fail, and whose verdict came from the same search.
     pub variant: Option<Box<Variant>>,
 }
 
 impl Settled {
-    /// The result of a search that found no numbers.
+    /// The result of a search that looked for no numbers.
     fn new(outcome: Outcome, bounds: Bounds, counterexample: Option<Counterexample>) -> Self {
         Self { outcome, bounds, found: Found::NOTHING, counterexample, sound: true, variant: None }
     }
 
-    /// The result if no search could settle the claim.
+    /// The result if a budget ended the search before the claim was settled.
     fn unsettled(bounds: Bounds) -> Self {
         Self { sound: false, ..Self::new(Outcome::Unknown, bounds, None) }
     }
@@ -104,7 +104,7 @@ pub(crate) struct Variant {
     pub counts: Counts,
 }
 
-/// How much the searches explored.
+/// How much some searches have explored.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Counts {
     states: u64,
@@ -148,7 +148,7 @@ pub(crate) fn first_explored(name: &str) -> Option<Explored> {
     })
 }
 
-/// The explorations of one claim.
+/// The explorations that settle one claim.
 pub(crate) struct Work<'a> {
     /// The first state space that was explored.
     first: Option<Explored>,
@@ -187,12 +187,12 @@ impl Work<'_> {
         (outcome(&found), unless_it_panics(|| draw_cell_state(plan, &found)))
     }
 
-    /// Distinct states explored so far.
+    /// The number of distinct states explored so far.
     pub const fn states(&self) -> u64 {
         self.counts.states
     }
 
-    /// Does a part of the work. Returns its result, and the counts of that part alone.
+    /// Runs a part of the work. Returns its result, and the counts of that part alone.
     pub fn part<R>(&mut self, part: impl FnOnce(&mut Self) -> R) -> (R, Counts) {
         let before = std::mem::replace(&mut self.counts, Counts::NONE);
         let result = part(self);
@@ -209,12 +209,13 @@ impl Work<'_> {
     }
 }
 
-/// Draws the chart of a counterexample, which repeats its transitions; `None` if the last transition panics.
+/// Draws the chart of a counterexample. Drawing repeats the counterexample's transitions; `None` if the last of them
+/// panics.
 pub(crate) fn unless_it_panics<T>(draw: impl FnOnce() -> Option<T>) -> Option<T> {
     catch_unwind(AssertUnwindSafe(draw)).unwrap_or(None)
 }
 
-/// The verdict of one exploration.
+/// The outcome that follows from one exploration.
 pub(crate) fn outcome<A>(found: &Exploration<A>) -> Outcome {
     match (found.violation, found.complete) {
         (Some(_), _) => Outcome::Fails,
@@ -233,7 +234,7 @@ fn all() -> Vec<Claim> {
     claims
 }
 
-/// The names of all claims, in order, each once.
+/// The names of all claims, in order, without duplicates.
 #[must_use]
 pub fn claim_names() -> Vec<&'static str> {
     let mut names: Vec<&'static str> = Vec::new();
@@ -245,7 +246,7 @@ pub fn claim_names() -> Vec<&'static str> {
     names
 }
 
-/// Settles the protocol's claims.
+/// Settles the protocol's claims, and reports all verdicts.
 pub fn verify(options: &Options, progress: &dyn Progress) -> Report {
     let wanted = |claim: &Claim| match &options.claim {
         Some(name) => claim.name == name && (claim.smoke || options.full),
@@ -255,7 +256,7 @@ pub fn verify(options: &Options, progress: &dyn Progress) -> Report {
     let limits = Limits { memory: options.memory, ..Limits::default() };
     let next = AtomicUsize::new(0);
     let verdicts: Mutex<Vec<(usize, Verdict)>> = Mutex::new(Vec::new());
-    // Claims run in parallel, because two threads in one exploration gain little.
+    // Claims run in parallel, because a second thread in one exploration gains little.
     side_by_side(0..options.jobs.clamp(1, claims.len().max(1)), |_| {
         while let Some((at, claim)) = take(&claims, &next) {
             for verdict in settle(claim, limits, progress) {
@@ -274,7 +275,7 @@ fn take<'a>(claims: &'a [Claim], next: &AtomicUsize) -> Option<(usize, &'a Claim
     claims.get(at).map(|claim| (at, claim))
 }
 
-/// Searches for the verdict of a claim, and of the variant that the same search decides, if there is one.
+/// Searches for the verdict of a claim, and for the verdict of the variant that the same search decides, if there is one.
 fn settle(claim: &Claim, limits: Limits, progress: &dyn Progress) -> Vec<Verdict> {
     progress.started(claim.name, claim.rule, claim.parties);
     let mut work = Work { first: None, name: claim.name, limits, progress, counts: Counts::NONE };

@@ -1,8 +1,8 @@
-//! The search of a state space: stateright's breadth-first search, with the parts that stateright 0.31 leaves to its user.
+//! The search of a state space: stateright's breadth-first search, and what stateright 0.31 leaves to its user.
 //!
-//! There is one property and one thread, so the first counterexample is a shortest one (with several properties
-//! stateright would replace it by a later, longer one). A search cannot be cancelled: when its budget ends, no more
-//! transitions are offered. A panic of the machine would lose its path, so it becomes an absorbing state.
+//! There is one property and one thread, so the first counterexample is a shortest one. (With several properties stateright
+//! would replace it by a later, longer counterexample.) A stateright search cannot be cancelled: when its budget ends, the
+//! model offers no more transitions. A panic of the state machine would lose the path, so it becomes an absorbing state.
 
 use crate::scenario::{Scenario, Watch};
 use crate::state::{Packed, Violation};
@@ -17,9 +17,9 @@ use std::time::Instant;
 /// Limits of an exploration.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// Most states that are expanded.
+    /// The greatest number of states that are expanded.
     pub states: u64,
-    /// Most resident memory of the whole process, in bytes.
+    /// The greatest resident memory of the whole process, in bytes.
     pub memory: u64,
 }
 
@@ -34,40 +34,41 @@ impl Default for Limits {
 pub struct Exploration<A = Action> {
     /// A shortest path to a violation, if there is one.
     pub path: Option<Vec<A>>,
-    /// The states on that path, the first included.
+    /// The states on that path, including the first one.
     pub states_on_path: Option<Vec<Packed>>,
     /// The violation at the end of the path.
     pub violation: Option<Violation>,
-    /// Distinct states.
+    /// The number of distinct states.
     pub states: u64,
-    /// Transitions taken.
+    /// The number of transitions that were taken.
     pub transitions: u64,
     /// The depth of the state space: the length of the longest shortest path from the initial state.
     pub depth: u64,
     /// Whether everything within the bounds was explored, or a violation found.
     pub complete: bool,
-    /// The bytes of the longest state.
+    /// The number of bytes of the longest packed state.
     pub longest_state: u64,
-    /// Wall-clock seconds.
+    /// The duration in seconds of wall-clock time.
     pub seconds: f64,
 }
 
-/// A state space to explore: a scratch pad over packed states. Every call starts from the state that it is given.
+/// A state space to explore, with working memory into which packed states are loaded. Every call begins with the state that
+/// it is given.
 pub(crate) trait Ground: Send {
-    /// A transition.
+    /// The type of a transition.
     type Action: Copy + Debug + PartialEq + Send + Sync + 'static;
 
     /// The initial state.
     fn first(&mut self) -> Packed;
     /// Lists the enabled transitions of a state that is not final.
     fn actions(&mut self, state: &Packed, actions: &mut Vec<Self::Action>);
-    /// The state after a transition. May panic if the machine does.
+    /// The state after a transition. May panic if the state machine does.
     fn step(&mut self, state: &Packed, action: Self::Action) -> Packed;
-    /// Repairs the scratch pad after a panic, so that it can be used again.
+    /// Repairs the working memory after a panic, so that it can be used again.
     fn renew(&mut self);
 }
 
-/// Receives the progress of a search: the number of states expanded.
+/// Receives the progress of a search: the number of states that were expanded.
 pub(crate) type Hear = Arc<dyn Fn(u64) + Send + Sync>;
 
 /// A state space as a stateright model.
@@ -85,7 +86,7 @@ pub(crate) struct Grounded<G> {
 const LOOK: u64 = 8192;
 
 impl<G: Ground> Grounded<G> {
-    /// The stateright model over a scratch pad.
+    /// The stateright model of a state space.
     pub fn new(pad: G, limits: Limits, progress: Option<Hear>) -> Self {
         Self {
             scratch: Mutex::new(pad),
@@ -98,7 +99,7 @@ impl<G: Ground> Grounded<G> {
         }
     }
 
-    /// Runs `work` on the scratch pad, under its lock.
+    /// Runs `work` on the state space, under its lock.
     pub fn with<R>(&self, work: impl FnOnce(&mut G) -> R) -> R {
         work(&mut self.scratch.lock().unwrap_or_else(PoisonError::into_inner))
     }
@@ -154,8 +155,8 @@ impl<G: Ground> Model for Grounded<G> {
     }
 }
 
-/// Implements stateright's model for a public type that wraps a [`Grounded`] state space, without showing the type of the
-/// scratch pad.
+/// Implements stateright's model for a public type that wraps a [`Grounded`] state space, without showing the type of that
+/// state space.
 macro_rules! shows_its_ground {
     ($model:ty, $action:ty) => {
         impl stateright::Model for $model {
@@ -191,7 +192,8 @@ pub(crate) fn search<G: Ground + 'static>(
     let start = Instant::now();
     let checker = Grounded::new(pad, limits, progress).checker().threads(1).spawn_bfs().join();
     let cut = checker.model().over.swap(false, Ordering::Relaxed);
-    // stateright rebuilds a path by asking the model again, so the model must offer the same transitions as before.
+    // stateright rebuilds a path by asking the model again, so from now on the model must offer the same transitions as in
+    // the search.
     checker.model().replaying.store(true, Ordering::Relaxed);
     let path = checker.discoveries().remove("claim");
     let violation = path.as_ref().and_then(|path| path.last_state().violation());
@@ -277,7 +279,7 @@ impl WorldModel {
         Self(Grounded::new(World::new(scenario), limits, None))
     }
 
-    /// The canonical form of `state` under this scenario's reductions.
+    /// The canonical form of `state` under the reductions of this scenario.
     #[doc(hidden)]
     #[must_use]
     pub fn canonical(&self, state: &Packed) -> Packed {
@@ -287,7 +289,7 @@ impl WorldModel {
         })
     }
 
-    /// The state with its members renamed: the member `order[k]` stands at position `k`.
+    /// The state with its members renamed: member `order[k]` moves to position `k`.
     #[doc(hidden)]
     #[must_use]
     pub fn renamed(&self, state: &Packed, order: &[usize]) -> Packed {
@@ -297,8 +299,8 @@ impl WorldModel {
         })
     }
 
-    /// The state without the marks of the reduction by turns. Just after a tick, searches with and without this
-    /// reduction have the same state.
+    /// The state without the marks that the reduction by turns sets. Just after a tick, searches with and without this
+    /// reduction have the same states.
     #[doc(hidden)]
     #[must_use]
     pub fn without_turns(&self, state: &Packed) -> Packed {
@@ -309,7 +311,7 @@ impl WorldModel {
         })
     }
 
-    /// Whether all tasks are idle with nothing left to do, and no packet is in flight.
+    /// Whether all tasks have finished their work, and no packet is in flight.
     #[doc(hidden)]
     #[must_use]
     pub fn is_finished(&self, state: &Packed) -> bool {
@@ -350,7 +352,7 @@ mod tests {
         let model = WorldModel::new(&scenario, Limits::default());
         let start = model.init_states().remove(0);
         let expected = model.next_state(&start, Action::Act(0));
-        // A world without nodes indexes past the end, and so panics as a fault of the machine would.
+        // A world without nodes panics because an index is out of range, as a fault of the state machine would.
         model.0.scratch.lock().expect("nobody panicked with it").nodes.clear();
         let broken = model.next_state(&start, Action::Act(0)).expect("a state in any case");
         assert_eq!(broken.violation(), Some(crate::Violation::Panic));

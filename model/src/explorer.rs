@@ -1,4 +1,4 @@
-//! Serves the state space of a claim in stateright's Explorer, with each path as a sequence chart.
+//! Serves the state space of a claim in stateright's Explorer, which shows each path as a sequence chart.
 
 use crate::cell::svg;
 use crate::cell_state::{self, CellState};
@@ -18,9 +18,9 @@ use std::sync::Arc;
 pub enum ExplorerError {
     /// The address is not loopback: the Explorer has no authentication.
     NotLoopback(SocketAddr),
-    /// The claim needs no search of states, or no claim has this name.
+    /// No claim has this name, or the claim needs no search of states.
     NothingToExplore,
-    /// The address cannot be served.
+    /// The Explorer cannot listen on this address.
     Unavailable(SocketAddr, io::Error),
 }
 
@@ -48,12 +48,12 @@ impl Explorer {
     /// The first state space that the rows of a claim explore.
     ///
     /// # Errors
-    /// [`ExplorerError::NothingToExplore`].
+    /// [`ExplorerError::NothingToExplore`], if there is no such state space.
     pub fn of_claim(name: &str) -> Result<Self, ExplorerError> {
         crate::claims::first_explored(name).map(Self).ok_or(ExplorerError::NothingToExplore)
     }
 
-    /// Serves the Explorer until the process ends. Calls `ready` with the address first. Port 0 means any free port.
+    /// Serves the Explorer until the process ends. Calls `ready` with the address first. Port 0 stands for any free port.
     pub fn serve(
         self,
         address: SocketAddr,
@@ -93,9 +93,9 @@ impl Explorer {
     }
 }
 
-/// Draws the path through these states.
+/// A function that draws the path through these states.
 type PathChart = Box<dyn Fn(&[Packed]) -> Option<ChartRecorder> + Send + Sync>;
-/// Draws one step from a state.
+/// A function that draws one step from a state.
 type OneStep<A> = Box<dyn Fn(&Packed, A) -> ChartRecorder + Send + Sync>;
 
 /// A state space as a stateright model that draws its paths and steps.
@@ -128,7 +128,7 @@ impl<G: Ground + 'static> Model for Drawn<G> {
     /// A step and its violation in words, because the bytes of a state mean nothing to a person.
     fn format_step(&self, state: &Packed, action: G::Action) -> Option<String> {
         let wrong = self.next_state(state, action)?.violation();
-        // A step that panics leaves no notes. The violation below says that it panicked.
+        // A step that panics leaves no notes. The violation below reports the panic.
         let recorder = catch_unwind(AssertUnwindSafe(|| (self.step)(state, action))).ok();
         let words = recorder
             .iter()
@@ -140,7 +140,7 @@ impl<G: Ground + 'static> Model for Drawn<G> {
     fn as_svg(&self, path: Path<Packed, G::Action>) -> Option<String> {
         let cause = path.last_state().violation().map_or("", |violation| violation.text());
         let states = path.into_states();
-        // Replaying a path to a panic of the machine panics again.
+        // Replaying a path to a panic of the state machine panics again.
         let recorder = catch_unwind(AssertUnwindSafe(|| (self.path_chart)(&states))).ok()??;
         Some(svg(recorder.names(), &recorder.notes, cause))
     }

@@ -1,4 +1,4 @@
-//! How many fused steps were compared with the small steps that they stand for (D176, D193), and what is compared.
+//! Counts the fused steps that were compared with the small steps that they replace (D176, D193), and compares nodes.
 
 use imrs_protocol::{Node, Request};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -8,13 +8,13 @@ static COMPARED: [AtomicU64; 6] = [const { AtomicU64::new(0) }; 6];
 /// How many fused steps this process has compared so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Compared {
-    /// Messages to a task of the same node.
+    /// The number of messages to a task of the same node.
     pub messages: u64,
-    /// Answers to them.
+    /// The number of answers to such messages.
     pub answers: u64,
-    /// Arrivals at a `waitfor` whose members are all on one node.
+    /// The number of arrivals at a `waitfor` whose members are all on one node.
     pub arrivals: u64,
-    /// Those of the last member, with which all are released.
+    /// The number of these arrivals that were the last member's, so that all members were released.
     pub meetings: u64,
     /// GETs of a task that no handler could interrupt.
     pub gets: u64,
@@ -30,7 +30,7 @@ pub fn compared() -> Compared {
     Compared { messages, answers, arrivals, meetings, gets, pairs }
 }
 
-/// Counts a fused step for this request. `meets`: it released the members of a `waitfor`.
+/// Counts a fused step for this request. `meets`: the step released the members of a `waitfor`.
 pub(crate) fn count(request: &Request, meets: bool) {
     let kind = match request {
         Request::Send { .. } => 0,
@@ -55,8 +55,8 @@ pub(crate) const fn may_have(request: &Request) -> bool {
     )
 }
 
-/// Whether the tasks of two copies of a node are in the same state. The packed state has neither their counters nor the ready set,
-/// which is rebuilt when it is read.
+/// Whether the tasks of two copies of a node are in the same state. The packed state has neither the tasks' counters nor
+/// the ready set, which is rebuilt when a state is read.
 pub(crate) fn are_same(one: &Node, other: &Node) -> bool {
     one.parts().tasks.iter().zip(&other.parts().tasks).all(|(one, other)| one.is_same(other))
 }

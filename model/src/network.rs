@@ -10,18 +10,18 @@ use imrs_protocol::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct InFlight {
     pub packet: Packet,
-    /// Ticks since it was sent.
+    /// Ticks since the packet was sent.
     pub age: u8,
-    /// The incarnation of the node that sent it, as its envelope says.
+    /// The incarnation of the node that sent the packet, as the packet's envelope says.
     pub incarnation: Incarnation,
     /// Whether the packet was sent since the last tick, after its receiver's turn (see `world::turns`).
     pub fresh: bool,
 }
 
-/// Most bytes of a packed packet.
+/// The greatest number of bytes of a packed packet.
 pub(crate) const IN_FLIGHT_BYTES: usize = 32;
 
-/// The greatest age that half a byte holds beside the mark of a fresh packet, whose age is 0.
+/// The greatest age that half a byte can hold. One more value marks a fresh packet, whose age is 0.
 const OLDEST: u8 = 14;
 const FRESH: u8 = 15;
 /// The mark of a fresh packet in the two age bits of the compact form.
@@ -51,10 +51,11 @@ impl Packed {
 /// How packets in flight are packed in one world.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Codec {
-    /// Whether kind, ends and age fit one byte: one waitfor of at most four tasks, link delays of at most two ticks.
+    /// Whether kind, ends and age of a packet fit into one byte: in a world with one waitfor of at most four tasks, and
+    /// link delays of at most two ticks.
     compact: bool,
     incarnations: bool,
-    /// The TTL of a CONFIRM or an ABORT. It is constant, so it is not packed.
+    /// The TTL of a CONFIRM or an ABORT. It is not packed, because it is constant.
     patience: Ticks,
 }
 
@@ -65,7 +66,7 @@ impl Codec {
         Self { compact, incarnations: scenario.incarnations(), patience }
     }
 
-    /// Packs a packet in flight, its ends renamed by `rename`.
+    /// Packs a packet in flight. `rename` renames its source and destination.
     pub fn encode(
         self,
         carried: &InFlight,
@@ -110,7 +111,8 @@ impl Codec {
         let base = frame.rounds.get(packet.port.index()).copied().unwrap_or_default();
         let relative =
             |round: Round| u8::try_from(round.steps_from(base)).ok().filter(|&r| r < 15).ok_or(Overflow);
-        // The value 15 stands for no hint: a sender that has released no other round names the round itself.
+        // The value 15 means that the packet names no other round: a sender that was never released names the packet's own
+        // round.
         let hint = if meeting.released == meeting.round { 15 } else { relative(meeting.released)? };
         out.push((relative(meeting.round)? << 4) | hint)?;
         match packet.kind {
@@ -122,7 +124,7 @@ impl Codec {
         Ok(out)
     }
 
-    /// Unpacks a packet in flight. Returns it and the number of bytes read.
+    /// Unpacks a packet in flight. Returns the packet and the number of bytes read.
     pub fn decode(self, bytes: &[u8]) -> (InFlight, usize) {
         let mut at = 0;
         let mut byte = || {

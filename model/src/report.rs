@@ -1,4 +1,4 @@
-//! Verdicts on the claims, as the command prints them and as JSON contains them.
+//! Verdicts on the claims, in the form that the command prints and that JSON contains.
 
 use crate::chart::Counterexample;
 use serde::Serialize;
@@ -9,7 +9,7 @@ use serde::Serialize;
 pub enum Outcome {
     /// The property holds in every state within the bounds.
     Holds,
-    /// A counterexample was found.
+    /// The search found a counterexample.
     Fails,
     /// A budget ended the search before a verdict.
     Unknown,
@@ -39,13 +39,13 @@ pub struct Bounds {
 /// Numbers that a search found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Found {
-    /// Fewest lost packets that strand a member, if every packet is sent once.
+    /// The fewest lost packets that strand a member, if every packet is sent once.
     pub least_losses_to_strand: Option<u32>,
-    /// Fewest lost packets that let a member give up though all have arrived, with retransmission.
+    /// The fewest lost packets that let a member give up although all have arrived, with retransmission.
     pub least_losses_with_resending: Option<u32>,
-    /// The least margin that holds, in ticks: one less fails.
+    /// The least margin that holds, in ticks: a margin one tick shorter fails.
     pub least_safe_margin: Option<u64>,
-    /// The margin the compiler uses for the same bounds (D56).
+    /// The margin that the compiler uses for the same bounds (D56).
     pub closed_form_margin: Option<u64>,
     /// The value of a bound by its closed form, in ticks.
     pub bound_ticks: Option<u64>,
@@ -56,7 +56,7 @@ pub struct Found {
 }
 
 impl Found {
-    /// No number was found.
+    /// The search looked for no numbers.
     pub const NOTHING: Self = Self {
         least_losses_to_strand: None,
         least_losses_with_resending: None,
@@ -68,7 +68,7 @@ impl Found {
     };
 }
 
-/// One claim under one rule.
+/// The verdict on one claim under one rule.
 #[derive(Clone, Debug, Serialize)]
 pub struct Verdict {
     /// The name of the claim.
@@ -83,25 +83,25 @@ pub struct Verdict {
     pub expect: Outcome,
     /// The result of the exploration.
     pub outcome: Outcome,
-    /// Whether the outcome is the expected one, and the search found every number that it looked for, with the pinned value.
+    /// Whether the outcome is the expected one, and every number that the search found has its pinned value.
     pub as_expected: bool,
     /// The bounds of the verdict.
     pub bounds: Bounds,
-    /// Distinct states, over all explorations of this verdict.
+    /// The number of distinct states in all explorations for this verdict.
     pub states: u64,
-    /// Transitions, over all explorations of this verdict.
+    /// The number of transitions in all explorations for this verdict.
     pub transitions: u64,
-    /// The depth: the longest of the shortest paths to a state.
+    /// The depth of the state space: the length of the longest of the shortest paths to a state.
     pub depth: u32,
     /// Whether everything within the bounds was explored, or a counterexample found.
     pub complete: bool,
     /// The probability that two states share a fingerprint, so that one of them was not explored.
     pub collision_probability: f64,
-    /// The bytes of the longest state.
+    /// The number of bytes of the longest packed state.
     pub longest_state: u64,
-    /// Wall-clock seconds.
+    /// The duration in seconds of wall-clock time.
     pub seconds: f64,
-    /// Distinct states a second.
+    /// The number of distinct states explored per second.
     pub states_per_second: u64,
     /// Numbers that the search found.
     pub found: Found,
@@ -112,9 +112,9 @@ pub struct Verdict {
 /// All verdicts of a run.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
-    /// The version of this format.
+    /// The version of this JSON format.
     pub version: u32,
-    /// The cell file; absent if the protocol's own claims were checked.
+    /// The name of the cell file; absent if the protocol's own claims were checked.
     pub cell: Option<String>,
     /// The verdicts, in the order of the claims.
     pub claims: Vec<Verdict>,
@@ -127,7 +127,7 @@ impl Report {
         self.claims.iter().all(|claim| claim.as_expected)
     }
 
-    /// Whether a budget ended an exploration before its verdict.
+    /// Whether a budget ended some exploration before its verdict.
     #[must_use]
     pub fn cut(&self) -> bool {
         self.claims.iter().any(|claim| !claim.complete)

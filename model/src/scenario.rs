@@ -11,7 +11,7 @@ pub enum Behaviour {
     Member {
         /// The port of the rendezvous.
         port: PortId,
-        /// How many times the task reaches it at most; `None`: without limit.
+        /// How many times the task reaches the waitfor at most; `None` stands for any number.
         attempts: Option<u8>,
     },
     /// The task sends commands or statuses on a port.
@@ -30,11 +30,12 @@ pub enum Behaviour {
 pub enum Watch {
     /// No member is released from a waitfor before all have arrived in its round.
     FalseRelease,
-    /// The k-th release of every member is the same round, and none comes before the k-th arrival of every member.
+    /// The k-th release of every member is the same round, and no k-th release comes before the k-th arrival of every
+    /// member.
     Pairing,
-    /// When no packet is in flight, no member waits in a meeting that all have reached.
+    /// When no packet is in flight, no member waits in a meeting that all members have reached.
     Stranded,
-    /// No member gives up a meeting that all have reached.
+    /// No member gives up a meeting that all members have reached.
     GaveUpAfterAllArrived,
     /// No member is released from a round that another member leaves without a release.
     AllOrNone,
@@ -84,11 +85,12 @@ pub struct Timing {
 /// the shortest counterexample (except for [`Watch::MeetAgain`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reductions {
-    /// Symmetry: members that are alike are sorted, so that states which differ only in their order count as one.
+    /// Symmetry: members with equal properties are sorted, so that states which differ only in the order of members count
+    /// as one.
     pub symmetry: bool,
-    /// Packets that can have no effect in any future are dropped.
+    /// Packets that can never have an effect are dropped.
     pub ignores: bool,
-    /// A packet is lost only at its last tick, because an earlier loss cannot be observed.
+    /// A packet is lost only at the last tick at which it could arrive, because an earlier loss cannot be observed.
     pub lose_last: bool,
     /// Partial order: commuting steps between two ticks are explored in one interleaving only.
     pub turns: bool,
@@ -101,7 +103,7 @@ impl Reductions {
     pub const NONE: Self = Self { symmetry: false, ignores: false, lose_last: false, turns: false };
 }
 
-/// All that a search needs: a cell, its tasks' behaviour, fault budgets, reductions and a property.
+/// Everything that a search needs: a cell, its tasks' behaviour, fault budgets, reductions and a property.
 #[derive(Clone, Debug)]
 pub struct Scenario {
     /// The cell's table.
@@ -114,7 +116,7 @@ pub struct Scenario {
     pub budget: Budget,
     /// How much later than due timers may end, and how much less than its true delay a link may charge.
     pub timing: Timing,
-    /// A variant of the rules: after how many messages sequence numbers wrap; `None`: never.
+    /// For a variant of the rules: after how many messages sequence numbers wrap; `None`: they do not wrap.
     pub wrap: Option<u8>,
     /// The property that is checked.
     pub watch: Watch,
@@ -127,13 +129,13 @@ pub struct Scenario {
 }
 
 impl Scenario {
-    /// The table as `node` sees it.
+    /// The table of the cell as `node` sees it.
     #[must_use]
     pub fn table(&self, node: NodeId) -> NodeTable {
         NodeTable::new(Arc::clone(&self.cell), node)
     }
 
-    /// How many tasks there are.
+    /// The number of tasks.
     #[must_use]
     pub fn tasks(&self) -> usize {
         self.behaviours.len()

@@ -2,8 +2,8 @@
 
 use std::thread;
 
-/// Runs each worker: the first on this thread, the others on threads of their own. A worker whose thread cannot be
-/// started is left out; workers that take their work from a shared queue then do its share.
+/// Runs each worker: the first on this thread, the others on threads of their own. A worker whose thread cannot be started
+/// is left out; if workers take their work from a shared queue, the others then do its share.
 ///
 /// # Panics
 /// If a worker panics.

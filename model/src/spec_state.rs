@@ -1,4 +1,4 @@
-//! The specification state of a world: what the judge of a property must remember and no task of the cell can see.
+//! The specification state of a world: what the judge of a property must remember, but no task of the cell can see.
 
 use crate::scenario::{Behaviour, Scenario, Watch};
 use crate::state::Violation;
@@ -12,26 +12,27 @@ use imrs_protocol::{
 pub(crate) struct SpecState {
     /// How many attempts or sends the task has left; [`SpecState::ENDLESS`] for no limit.
     pub left: u8,
-    /// The round that the task waits in.
+    /// The round in which the task waits.
     pub waits_in: Option<Round>,
     /// Rounds that the task announced: bit `i` stands for round `base + i`, with the base of [`Judge`].
     pub announced: u32,
-    /// Rounds from which the task was released: the same kind of bit mask as `announced`.
+    /// Rounds from which the task was released, in a bit mask like `announced`.
     pub released: u32,
-    /// Rounds that the task left without a release: the same kind of bit mask as `announced`.
+    /// Rounds that the task left without a release, in a bit mask like `announced`.
     pub gave_up: u32,
-    /// Rounds that another member had left when this node restarted, so that the new incarnation cannot meet it there: the
-    /// same kind of bit mask.
+    /// Rounds that another member had left when this node restarted, so that the new incarnation cannot meet that member
+    /// there; in a bit mask like `announced`.
     pub missed: u32,
-    /// How often the task reached the waitfor, how often it was released, and its last round. For the property of pairing.
+    /// How often the task reached the waitfor. The next fields say how often it was released, and from which round last.
+    /// The property `Pairing` needs them.
     pub reached: u8,
     pub releases: u8,
     pub last_released: Option<Round>,
-    /// How many attempts the task has made since the faults ended, up to its first release after that.
+    /// How many attempts the task has made since the faults ended, up to its first release after the end of the faults.
     pub since_heal: u8,
     /// Whether the task was released since the faults ended.
     pub met: bool,
-    /// The command that the task must answer.
+    /// The command that the task has taken and must answer.
     pub serving: Option<ReplyTo>,
     /// Ticks since the task's outstanding command was sent, or since its wait at the waitfor began.
     pub open: Option<u8>,
@@ -64,13 +65,13 @@ fn bit(round: Round, base: Round) -> Result<u32, Violation> {
     1_u32.checked_shl(u32::from(round.steps_from(base))).ok_or(Violation::Overflow)
 }
 
-/// Judges the effects of one step. `base` is the round for which bit 0 of the masks stands.
+/// Judges the effects of one step. `base` is the round for which bit 0 of each bit mask stands.
 pub(crate) struct Judge<'a> {
     pub scenario: &'a Scenario,
     pub spec_states: &'a mut [SpecState],
     pub healed: bool,
     pub base: Round,
-    /// Set when the property is shown to be reachable; the state is then final.
+    /// Whether the property was shown to be reachable. If so, the state is final.
     pub done: bool,
 }
 
@@ -125,7 +126,7 @@ impl Judge<'_> {
                 let command = delivery.class == imrs_protocol::Class::Command;
                 if command {
                     self.spec_states[at.index()].serving = Some(delivery.from);
-                    // The contents identify the command, even if sequence numbers wrap.
+                    // The first byte of the contents identifies the command, even if sequence numbers wrap.
                     let left = delivery.contents.as_bytes().first().copied().unwrap_or(0);
                     let back = left.saturating_sub(self.spec_states[source.index()].left).saturating_add(1);
                     self.executed(source, back)?;
@@ -186,8 +187,8 @@ impl Judge<'_> {
         }
     }
 
-    /// Records that a command of `source` was handed over. The command is the one that `source` sent `back - 1`
-    /// commands before its last one.
+    /// Records that a command of `source` was handed over. It is the command that `source` sent `back - 1` commands before
+    /// its last command.
     fn executed(&mut self, source: TaskId, back: u8) -> Result<(), Violation> {
         let bit = 1_u8.checked_shl(u32::from(back.saturating_sub(1))).ok_or(Violation::Overflow)?;
         let spec_state = &mut self.spec_states[source.index()];
@@ -226,13 +227,14 @@ impl Judge<'_> {
     }
 }
 
-/// The contents of a command. `left` is how many commands its sender still sends after it. The answer must repeat
+/// The contents of a command. `left` is how many commands the sender still sends after this one. The answer must repeat
 /// these contents.
 pub(crate) fn question(left: u8) -> Contents {
     Contents::new(&[left]).unwrap_or_default()
 }
 
-/// Packs the part of a task's specification state that the property needs. `shift` is how many rounds the base has moved.
+/// Packs the part of a task's specification state that the property needs. `shift` is how many rounds the base of the bit
+/// masks has moved.
 pub(crate) fn store(
     spec_state: &SpecState,
     watch: Watch,

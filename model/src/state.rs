@@ -1,22 +1,22 @@
-//! Packed states, one block of bytes each: the searches hash and compare them.
+//! Packed states, each a block of bytes, which the searches hash and compare.
 
 use std::fmt;
 
-/// Bytes before the specification state: violation, budgets, flags, steps since the last tick.
+/// The number of bytes before the specification state: violation, budgets, flags, and steps since the last tick.
 pub(crate) const HEADER: usize = 7;
 
-/// A packed state. States with equal bytes have equal futures.
+/// A packed state. States with equal bytes behave alike from then on.
 #[derive(Clone, PartialEq, Eq, Hash)]
 pub struct Packed(pub(crate) Box<[u8]>);
 
 impl Packed {
-    /// The violation in the state, if there is one. Such a state is absorbing: no transition leaves it.
+    /// The violation that the state holds, if there is one. Such a state is absorbing: no transition leaves it.
     #[must_use]
     pub fn violation(&self) -> Option<Violation> {
         Violation::from_code(self.0.first().copied().unwrap_or(0))
     }
 
-    /// Whether the state has no successors: it is a violation, or the property is already shown.
+    /// Whether the state has no successors: the state holds a violation, or the property is already shown to be reachable.
     #[must_use]
     pub fn is_final(&self) -> bool {
         self.violation().is_some() || self.0.len() <= HEADER
@@ -58,7 +58,7 @@ macro_rules! violations {
                 match code { $($code => Some(Self::$name),)* _ => None }
             }
 
-            /// The violation in one line.
+            /// The text of the violation, in one line.
             #[must_use]
             pub const fn text(self) -> &'static str {
                 match self { $(Self::$name => $text),* }

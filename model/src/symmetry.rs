@@ -1,12 +1,12 @@
-//! The symmetry reduction: members of a meeting are interchangeable, so the canonical form of a state is the renaming
-//! of its members with the least bytes. It is computed inside `next_state`, so that every search uses it (stateright's
-//! breadth-first search ignores stateright's own `symmetry`).
+//! The symmetry reduction: members of a meeting are interchangeable, so the canonical form of a state is that renaming of
+//! its members whose packed bytes are least. This form is computed inside `next_state`, so that every search uses it
+//! (stateright's breadth-first search ignores stateright's own `symmetry`).
 
 use crate::network::{Codec, InFlight, Packed};
 use crate::state::HEADER;
 use imrs_protocol::{Frame, Overflow, TaskId};
 
-/// With this many members, `views` costs less than trying all renamings of members that differ in nothing else.
+/// With this many members, `views` costs less than trying all renamings of members with equal features.
 const MANY: usize = 4;
 
 /// The parts from which a packed state is composed.
@@ -30,8 +30,8 @@ impl Parts<'_> {
         Ok(bytes)
     }
 
-    /// The canonical form: the least bytes of all renamings, and the order of members that gives them. Only orders that sort
-    /// the members by their renaming-invariant features are tried.
+    /// The canonical form: the least bytes of all renamings of the state, and the order of members that gives these bytes.
+    /// Only orders that sort the members by their renaming-invariant features are tried.
     pub fn least(&self) -> Result<(Vec<u8>, Vec<usize>), Overflow> {
         let n = self.blocks.len();
         let mut order: Vec<usize> = (0..n).collect();
@@ -53,8 +53,8 @@ impl Parts<'_> {
         Ok(best)
     }
 
-    /// More renaming-invariant features of each member: what it knows of the others, what the others know of it, and the
-    /// packets in flight from it and to it.
+    /// More renaming-invariant features of each member: what the member knows of the others, what the others know of the
+    /// member, and the packets in flight from and to the member.
     fn views(&self) -> Result<Vec<Vec<u8>>, Overflow> {
         let n = self.blocks.len();
         let entries: Vec<_> = (0..n).map(|i| self.entries(&self.block(i))).collect();
@@ -82,7 +82,7 @@ impl Parts<'_> {
         Ok((0..n).map(view).collect())
     }
 
-    /// The packed state with its members renamed: the member `order[k]` stands at position `k`.
+    /// The packed state with its members renamed: member `order[k]` moves to position `k`.
     pub fn renamed(&self, order: &[usize]) -> Result<Vec<u8>, Overflow> {
         let mut bytes = Vec::with_capacity(96);
         bytes.extend(self.header);
@@ -114,10 +114,10 @@ impl Parts<'_> {
     }
 }
 
-/// A packed node, split into the bytes that a renaming keeps and those that it permutes.
+/// A packed node, split into the bytes that a renaming keeps and the bytes that it permutes.
 struct Block<'a> {
     len: u8,
-    /// The node's least round and, if nodes can restart, whether it is up and its incarnation.
+    /// The node's least round and, if nodes can restart, whether the node is up, and its incarnation.
     node: &'a [u8],
     /// If nodes can restart, the incarnations in which this node knows the other nodes.
     known: &'a [u8],
@@ -131,12 +131,12 @@ impl Parts<'_> {
     fn block(&self, i: usize) -> Block<'_> {
         let block = self.blocks[i].as_slice();
         let incarnations = self.frame.incarnations;
-        // This follows the layout of `store_place`: length, least round; if nodes can restart, also up, own incarnation,
-        // known incarnations.
+        // This code follows the layout of `store_place`: length, least round; if nodes can restart, also up, own
+        // incarnation, known incarnations.
         let known = if incarnations { 4 } else { 2 };
         let start = if incarnations { known + self.blocks.len() } else { known };
-        // This follows the layout of `CommTask::walk`: the ranks of the order, the wait (one byte for a task that only
-        // meets), three more bytes if nodes can restart, then the meeting's flags, round and the fields that the flags
+        // This code follows the layout of `CommTask::walk`: the ranks of the order; the wait (one byte for a task that only
+        // meets); three more bytes if nodes can restart; then the meeting's flags, its round, and the fields that the flags
         // announce.
         let mut at = start;
         at += 1 + 2 * usize::from(block.get(at).copied().unwrap_or(0) & 0x0f);
@@ -145,7 +145,7 @@ impl Parts<'_> {
         at += 2;
         at += usize::from(flags & 1 != 0) + usize::from(flags & 2 != 0) + usize::from(flags & 4 != 0);
         at += if flags & 16 != 0 { 2 } else { 0 };
-        // The block of a node that is down ends before the bytes of a task, because such a node has none.
+        // A node that is down has no task, so its block ends before a task's bytes.
         let at = at.min(block.len());
         Block {
             len: block[0],
@@ -170,12 +170,12 @@ impl Parts<'_> {
     }
 }
 
-/// Advances `p` to the next permutation among those that only exchange members alike in `same`. Ranks are positions in
-/// `order`.
+/// Advances `p` to the next permutation among those that only exchange members for which `same` is true. Ranks are
+/// positions in `order`.
 fn next_permutation(p: &mut [usize], same: impl Fn(usize, usize) -> bool, order: &[usize]) -> bool {
     let rank = |i: usize| order.iter().position(|&o| o == i).unwrap_or(0);
-    // This counts like an odometer over the runs of equal members: it advances the last run that has a next arrangement, and
-    // resets the runs behind it.
+    // The loop counts like an odometer over the groups of equal members: it advances the last group that has a next
+    // arrangement, and resets the groups behind that one.
     let mut end = p.len();
     while end > 0 {
         let mut start = end - 1;
@@ -211,7 +211,7 @@ mod tests {
         let class = |i: usize| usize::from(i == 7 || i == 1);
         let mut p = order;
         let mut seen = vec![p];
-        // Members 4 and 2, and members 7 and 1, form two runs of two; member 0 is alone.
+        // Members 4 and 2, and members 7 and 1, form two groups of two; member 0 is alone.
         while next_permutation(&mut p, |a, b| class(a) == class(b), &order) {
             seen.push(p);
         }

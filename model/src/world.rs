@@ -1,8 +1,8 @@
 //! The unpacked state of a world: nodes with one task each, packets in flight, fault budgets and specification state.
 //!
-//! A world is only a scratch pad. States are packed bytes: [`World::load`] unpacks one, a step changes it, and
-//! [`World::store`] packs the result. Packed numbers are relative: remaining times, rounds counted from the least one
-//! in use, sequences counted back from the next one (D51).
+//! A world is only working memory. States are packed bytes: [`World::load`] unpacks one, a step changes it, and
+//! [`World::store`] packs the result. Packed numbers are relative: remaining times, rounds counted from the least round in
+//! use, sequence numbers counted back from the next one (D51).
 
 use crate::cell_state::{Heard, NodeState};
 use crate::network::{Codec, IN_FLIGHT_BYTES, InFlight};
@@ -29,11 +29,11 @@ use canon::FromBase;
 pub enum Action {
     /// A tick passes on every node and for every packet.
     Tick,
-    /// A tick passes, and the timer of this node fires only at the next one.
+    /// A tick passes, and the timer of this node fires only at the next tick.
     Late(u8),
     /// The packet at this position in the state arrives.
     Deliver(u8),
-    /// The packet at the first given position arrives, charged the given number of ticks more than the link's bound.
+    /// A packet arrives: its position, and how many ticks more than the link's bound it is charged.
     Overcharge(u8, u8),
     /// The packet at this position is lost.
     Lose(u8),
@@ -51,11 +51,11 @@ pub enum Action {
     Heal,
 }
 
-/// The unpacked state: nodes, packets in flight and specification state. Transitions work on it.
+/// The unpacked state: nodes, packets in flight and specification state. Transitions change this form.
 #[derive(Clone, Debug)]
 pub(crate) struct World {
     pub scenario: Arc<Scenario>,
-    /// Every node runs one task, with the same index. A node owes a tick while its timer is late.
+    /// Every node runs one task, with the same index. While the timer of a node is late, the node owes a tick.
     pub nodes: Vec<NodeState>,
     pub in_flight: Vec<InFlight>,
     pub spec_states: Vec<SpecState>,
@@ -73,35 +73,35 @@ pub(crate) struct World {
     rounds: Vec<Round>,
     codec: Codec,
     effects: Effects,
-    /// The packed nodes. Nodes that [`World::load`] did not unpack are only here.
+    /// The packed nodes. A node that [`World::load`] did not unpack exists only in this form.
     blocks: Vec<Vec<u8>>,
     loaded: Vec<bool>,
-    /// For each node, whether its turn is still open (see `turns`).
+    /// For each node, whether its turn is still open (see the module `turns`).
     open: Vec<bool>,
     /// The order in which the nodes take turns.
     order: Vec<usize>,
     /// The order of the members in the state that was packed last.
     pub named: Vec<usize>,
-    /// What the last transition showed about each task, for charts.
+    /// What happened to each task in the last transition, for charts.
     pub log: Vec<(TaskId, Shown)>,
     pub keep_log: bool,
-    /// A node with all members of a meeting, for copies of their states.
+    /// A node on which all members of a meeting run, for copies of their states.
     together: Option<Node>,
 }
 
-/// Packets in a transit buffer. Few are enough, because a world empties its transit buffers at once.
+/// How many packets a transit buffer holds. Few are enough, because a world empties its transit buffers at once.
 const TRANSIT: u16 = 64;
 
-/// What a step showed about a task.
+/// What happened to a task in a step.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Shown {
-    /// The task's communication task reported an event.
+    /// The communication task of the task reported an event.
     Seen(Observation),
     /// The task got a signal.
     Signalled(Signal),
 }
 
-/// The packets that one step of a node sent, and the signals that it showed.
+/// The packets that one step of a node sent, and what happened to tasks in the step.
 #[derive(Clone, Debug, Default)]
 struct Effects {
     sent: Vec<Packet>,
@@ -180,12 +180,12 @@ impl World {
         }
         for (i, carried) in self.in_flight.iter().enumerate() {
             let i = small(i);
-            // Delivering either of two equal packets gives the same state.
+            // Delivering one of two equal packets gives the same state as delivering the other.
             if i > 0 && self.in_flight[usize::from(i) - 1] == *carried {
                 continue;
             }
             self.arrivals(i, actions);
-            // No task can notice a loss before the packet's last tick, unless the faults end first.
+            // No task can notice a loss before the packet's last tick on its link, unless the faults end first.
             let may_heal = matches!(self.scenario.watch, Watch::MeetAgain { .. });
             let last = may_heal || self.scenario.delay.is_none_or(|delay| carried.age == delay);
             if self.loss > 0 && !self.healed && (last || !self.scenario.reductions.lose_last) {
@@ -279,7 +279,7 @@ impl World {
         &self.nodes[i].node.parts().tasks[0]
     }
 
-    /// Whether all tasks are idle with nothing left to do, and no packet is in flight.
+    /// Whether all tasks have finished their work, and no packet is in flight.
     pub fn is_finished(&self) -> bool {
         let rests = |i: usize| self.task(i).is_idle() && self.spec_states[i].left == 0;
         self.in_flight.is_empty() && (0..self.n()).all(rests)
@@ -387,7 +387,7 @@ impl World {
     fn answer(&mut self, i: usize) -> Result<(), Violation> {
         self.catch_up(i)?;
         let Some(to) = self.spec_states[i].serving.take() else { return Ok(()) };
-        // The answer repeats its command's contents, which follow from the sends left, so that a mix-up shows.
+        // The answer repeats the command's contents. These follow from the number of sends left, so that a mix-up shows.
         let asked = self.spec_states[to.source.index()].left;
         let back = self.next_sequence(to.source.index()).steps_from(to.id.sequence).saturating_sub(1);
         let contents = question(asked.saturating_add(u8::try_from(back).unwrap_or(u8::MAX)));
@@ -475,7 +475,7 @@ impl World {
         MessageId { incarnation: self.nodes[task.index()].incarnation, sequence }
     }
 
-    /// Judges [`Watch::Stranded`], which only a state without packets in flight can violate.
+    /// Judges [`Watch::Stranded`]. Only a state without packets in flight can violate this property.
     fn judge_quiet(&self) -> Result<(), Violation> {
         if self.scenario.watch != Watch::Stranded || !self.in_flight.is_empty() {
             return Ok(());

@@ -11,31 +11,31 @@ const NAMES: [&str; 5] = ["A", "B", "C", "D", "E"];
 /// A rendezvous of interchangeable members, each on a node of its own, with a link between every two nodes.
 #[derive(Clone, Debug)]
 pub struct Meeting {
-    /// How many members.
+    /// The number of members.
     pub members: usize,
-    /// The members' time_out in ticks; `None`: they never give up.
+    /// The members' time_out in ticks; `None`: the members never give up.
     pub time_out: Option<u64>,
     /// The longest link delay in ticks; `None`: no time passes at all.
     pub delay: Option<u8>,
     /// The period of retransmissions in ticks; `None`: every packet is sent once (D55).
     pub resend: Option<u64>,
-    /// How many losses a meeting must bear: the CONFIRM is sent that many times more (D55).
+    /// How many lost packets a meeting must survive: the CONFIRM is sent that many times more (D55).
     pub losses: u8,
     /// The margin in ticks; `None`: the closed form.
     pub margin: Option<u64>,
     /// How often each member reaches the waitfor; `None`: without limit.
     pub attempts: Option<u8>,
-    /// Faults.
+    /// The faults that may happen.
     pub budget: Budget,
-    /// Deviations of time.
+    /// Deviations of time that may happen.
     pub timing: Timing,
-    /// Rules.
+    /// The rules of the protocol.
     pub rules: Rules,
     /// The property that is checked.
     pub watch: Watch,
     /// Whether the members are eager: each reaches the waitfor as soon as it can.
     pub hurry: bool,
-    /// Reductions.
+    /// The reductions that the search uses.
     pub reductions: Reductions,
 }
 
@@ -63,7 +63,7 @@ impl Meeting {
     /// The scenario of this meeting.
     ///
     /// # Errors
-    /// What is wrong with the declaration; for example, the margin leaves no time for a release.
+    /// What is wrong with the declaration: for example, the margin leaves no time for a release.
     pub fn scenario(&self) -> Result<Arc<Scenario>, Vec<CellError>> {
         let tick = Ticks(1);
         let mut cell = mesh(self.members, u64::from(self.delay.unwrap_or(0)), tick);
@@ -93,34 +93,34 @@ impl Meeting {
 /// One sender and one receiver, each on a node of its own.
 #[derive(Clone, Debug)]
 pub struct Exchange {
-    /// Whether commands are sent (class 2), else statuses (class 1).
+    /// Whether the messages are commands (class 2). If not, they are statuses (class 1).
     pub command: bool,
     /// The TTL of each message in ticks.
     pub time_out: u64,
     /// The longest link delay in ticks.
     pub delay: u8,
-    /// How often a command is retransmitted, and the period in ticks.
+    /// How often a command is retransmitted, and the period of retransmission in ticks.
     pub retry: (u8, u64),
     /// The value of `bounded_buffer`: how many messages the port's buffer holds.
     pub buffer: u16,
     /// How many messages are sent.
     pub sends: u8,
-    /// Faults.
+    /// The faults that may happen.
     pub budget: Budget,
-    /// Deviations of time.
+    /// Deviations of time that may happen.
     pub timing: Timing,
-    /// Rules.
+    /// The rules of the protocol.
     pub rules: Rules,
     /// The property that is checked.
     pub watch: Watch,
     /// How many ticks ahead the clocks of the sender's and the receiver's node are.
     pub clocks: (u64, u64),
-    /// After how many messages sequence numbers wrap (a variant); `None`: never.
+    /// For a variant of the rules: after how many messages sequence numbers wrap; `None`: they do not wrap.
     pub wrap: Option<u8>,
 }
 
 impl Exchange {
-    /// Commands under the default rules, without faults.
+    /// An exchange of commands under the default rules, without faults.
     #[must_use]
     pub const fn new(watch: Watch) -> Self {
         Self {

@@ -1,4 +1,4 @@
-//! Compares the packed form of states with the reference form: with reductions off, both have the same states and
+//! Compares the packed form of states with the reference form: without reductions, both have the same states and
 //! transitions.
 
 use crate::support::reference::ReferenceModel;

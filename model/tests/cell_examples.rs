@@ -19,7 +19,7 @@ fn four_tasks_and_six_ports_are_looked_at_whole() {
     let (cell, verdicts) = checked(PRESS, 500_000);
     assert!(verdicts.is_complete(), "{:?}", verdicts.phases);
     assert_eq!(cell.found(&verdicts), []);
-    // Without retransmission and without a branch for it, a lost packet ends a task.
+    // Without retransmission, and without a branch for a time_out, a lost packet ends a task.
     let helpless = PRESS
         .replace("class = 2 retry = 2 resend = 40 msec", "class = 2 retry = 0")
         .replace(" on time_out do abort \"left is gone\"; end on refused do abort \"left is full\"; end", "");

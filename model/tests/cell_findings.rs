@@ -1,4 +1,4 @@
-//! Tests of each kind of finding in a cell: the statement at which it points, and cells without that finding.
+//! Tests of each kind of finding in a cell: the statement at which the finding points, and cells without that finding.
 
 use crate::cells::{Text, within};
 use imrs_model::cell::{CellFaults, Finding, Kind, Phase, Shows, Times, Verdicts, scenes, svg};
@@ -6,7 +6,7 @@ use imrs_protocol::TaskId;
 use imrs_wire::obs::Liveness;
 use std::sync::Arc;
 
-/// A cell of two tasks on two nodes that are a tick apart; `a` owns the ports in `ports`.
+/// A cell of two tasks on two nodes that are a tick apart; task `a` owns the ports in `ports`.
 fn two(ports: &str, uses: &str, a: &str, b: &str, rest: &str) -> Text {
     Text::new(&two_text(ports, uses, a, b, rest))
 }
@@ -148,9 +148,9 @@ fn a_statement_that_nothing_leads_to_is_unreached() {
     assert!(found_here[0].0 == Kind::Unreached && found_here[0].1.starts_with("delay 3 msec"));
 }
 
-/// Results of an action are tried at both ends of their range, and on both sides of the constants with which they are
-/// compared. If a result is also used elsewhere, another value may lead to more statements. Then a statement that no tried
-/// value reaches is not reported as superfluous, nor a check as vacuous.
+/// Results of an action are tried at both ends of their range, and on both sides of the constants with which the results
+/// are compared. If a result is also used elsewhere, another value may lead to more statements. Then a statement that no
+/// tried value reaches is not reported as superfluous, nor a check as vacuous.
 #[test]
 fn results_lead_to_every_branch_that_compares_them_and_elsewhere_perhaps() {
     let of = |range: &str, branch: &str, check: &str| {
@@ -174,7 +174,7 @@ fn results_lead_to_every_branch_that_compares_them_and_elsewhere_perhaps() {
     assert_eq!(kinds, [Kind::Unreached, Kind::Vacuous]);
 }
 
-/// A `receive` with a branch for the time_out expects that nothing may come, even if the task then ends.
+/// A `receive` with a branch for its time_out expects that no message may come, even if the task then ends.
 #[test]
 fn a_receive_that_says_what_then_may_end_the_task() {
     let put = PUT.replace("class = 2", "class = 1");
@@ -212,8 +212,8 @@ fn a_node_that_crashes_and_a_link_that_is_cut_are_the_named_ones() {
     assert!(with("dup 1").is_none());
 }
 
-/// Task `b` is held back for 21 ticks after a restart of its node, because `put` may still be in flight. Task `c` need not
-/// be held back, too, unless it sends `b` a command.
+/// Task `b` is held back for 21 ticks after a restart of its node, because `put` may still be in flight. Task `c` is held
+/// back, too, only if it sends a command to `b`.
 #[test]
 fn after_a_restart_a_task_waits_for_its_own_ports_and_those_that_it_asks() {
     let early = |port: &str, uses: &str, answer: &str, ask: &str| {
@@ -249,7 +249,7 @@ fn a_budget_that_ends_the_search_gives_a_part() {
 
 #[test]
 fn an_end_between_least_and_most_is_looked_at_without_faults() {
-    // The check holds for an end at 5 or 60 ticks. It fails for an end while `y` is set, after 20 ticks.
+    // The check holds if the action ends after 5 or 60 ticks. It fails if the action ends while `y` is set, after 20 ticks.
     let a = "run work takes 5..60 msec; x := 1; delay 1 msec; x := 0;";
     let b = "delay 20 msec; y := 1; delay 1 msec; y := 0;";
     let mut cell = two(
@@ -327,7 +327,7 @@ fn a_query_may_not_last_longer_than_its_answer_takes() {
     );
 }
 
-/// The values that members bring to a meeting are there when other members read them, also after a handler in the wait.
+/// The values that members bring to a meeting are there when others read them, even after a handler during the wait.
 #[test]
 fn what_members_bring_to_a_meeting_is_what_the_others_read() {
     let meet = MEET.replace("meet()", "meet(h: int8)");
@@ -513,7 +513,7 @@ fn a_chart_says_the_line_and_the_values_of_each_step() {
     }
 }
 
-/// A couple's heartbeats have a layout of the machine's own: the checker reads no values of the cell from them.
+/// Heartbeats have a layout that the protocol defines: the checker does not take their contents for values of the cell.
 #[test]
 fn what_heartbeats_carry_is_not_taken_for_values() {
     let text = std::fs::read_to_string("../examples/weld_cell.cell").expect("the example");
@@ -527,7 +527,7 @@ fn what_heartbeats_carry_is_not_taken_for_values() {
 #[test]
 fn tasks_with_the_same_statements_have_their_finding_told_once() {
     let assertions = |b: String| -> Vec<(TaskId, Vec<TaskId>)> {
-        // Either task may fail first, because the search does not go on past a finding that ends a task.
+        // Either task may fail first, because the search does not go on after a finding that ends a task.
         let text = format!("{ASKERS}{b}").replace("  query grab", "  run think takes 1..9 msec; query grab");
         let verdicts = Text::new(&text).check();
         let of = |finding: &Finding| (finding.task.expect("a task"), finding.also.clone());
@@ -535,6 +535,6 @@ fn tasks_with_the_same_statements_have_their_finding_told_once() {
     };
     let (a, b) = (TaskId(2), TaskId(3));
     assert_eq!(assertions(asker("b", 300)), [(a, vec![b])]);
-    // With another value the assertion has another text, and so another cause.
+    // With another value the assertion has another text, and therefore another cause.
     assert_eq!(assertions(asker("b", 301)), [(a, vec![]), (b, vec![])]);
 }

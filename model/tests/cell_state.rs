@@ -26,8 +26,8 @@ fn explored(plan: &Arc<CellScenario>) -> Exploration<Move> {
     found
 }
 
-/// Explores a cell that must fail, and once more level by level with whole states. The counterexample must be a run of the
-/// cell, and the shortest one.
+/// Explores a cell that must fail, and then explores it again, level by level and with whole states. The counterexample
+/// must be a run of the cell, and a shortest one.
 fn fails(plan: &Arc<CellScenario>) -> Violation {
     let found = explored(plan);
     let drawn = draw_cell_state(plan, &found).expect("a chart");
@@ -128,8 +128,8 @@ fn clocks_apart_make_no_difference() {
         (found.states, found.transitions)
     });
     assert!(counts.iter().all(|count| *count == counts[0]));
-    // If the receiver's node misses a tick while it holds a status message, the message comes out one tick late, and no
-    // more.
+    // If the receiver's node misses a tick while it holds a status message, the task gets the message at most one tick
+    // late.
     let faults = Faults { drift: 1, ..Faults::default() };
     let late = |slack| {
         let watches = vec![CellProperty::Stale { slack }];
@@ -220,8 +220,8 @@ fn a_script_shows_that_the_literal_penalty_revives_commands() {
     assert_eq!(fails(&penalised(true).expect("a sound declaration")), Violation::Stale);
 }
 
-/// A cell of two tasks that each enter a shared place once, and note whether they are in it. If `meet`, a waitfor orders
-/// them.
+/// A cell of two tasks that each enter a shared place once, and note whether they are in it. With `meet`, the two tasks
+/// first meet at a waitfor, which orders them.
 fn sharing(meet: bool) -> Arc<CellScenario> {
     let mut cell = Cell::new("sharing", Ticks(1));
     let nodes = ["left", "right"].map(|name| cell.node(name));

@@ -1,4 +1,5 @@
-//! The packed form of cell states: it loses nothing on which a future depends, and fusing steps changes no quiescent state.
+//! Tests of the packed form of cell states: it loses nothing on which later behaviour depends, and fused steps reach the
+//! same quiescent states.
 
 use imrs_model::cell_state::plan::{CellProperty, CellScenario, Errand, Faults, TaskPlan, Times, Transfer};
 use imrs_model::cell_state::worlds::{Flood, Interrupted, Relay, Workshop, penalised, query_all};
@@ -24,7 +25,7 @@ fn live_and_packed_agree(plan: &Arc<CellScenario>) -> usize {
     assert_eq!(model.init_states(), [start.packed()]);
     let mut seen = HashSet::from([start.packed()]);
     // The search goes depth first, because a whole copy takes kilobytes, and a breadth-first queue would keep thousands of
-    // them.
+    // such copies.
     let mut open = vec![(start.packed(), start)];
     while let Some((packed, live)) = open.pop() {
         if packed.is_final() {
@@ -172,20 +173,20 @@ fn reachable(plan: &Arc<CellScenario>) -> (CellModel, HashSet<Packed>) {
     (model, seen)
 }
 
-/// The quiescent states that a cell reaches by fused steps, and those that it reaches by taking the inputs of a
-/// node's tasks in every order.
+/// The quiescent states that a cell reaches by fused steps, and the quiescent states that it reaches if the tasks of a node
+/// take their inputs in every order.
 fn both_ways(plan: fn(bool) -> Arc<CellScenario>) -> [HashSet<Packed>; 2] {
     let (fused_model, fused) = reachable(&plan(true));
     let (model, unfused) = reachable(&plan(false));
     assert!(!unfused.iter().any(Packed::is_final), "a watch found something, or a state outgrew its form");
-    // The unfused form also packs queued inputs, so a fused cell packs these states again.
+    // The unfused form also packs queued inputs. To compare states, a cell with fused steps packs them again.
     let quiet = unfused.iter().filter(|s| model.is_quiescent(s)).map(|s| model.as_fused(s)).collect();
     println!("{} fused, {} unfused", fused.len(), unfused.len());
     assert!(unfused.len() > fused.len() && fused.iter().all(|s| fused_model.is_quiescent(s)));
     [fused, quiet]
 }
 
-/// The steps commute: the tasks of a node may take their inputs in any order.
+/// The small steps commute: the tasks of a node may take their inputs in any order.
 #[test]
 fn fused_and_unfused_steps_reach_the_same_quiescent_states() {
     let [fused, quiet] = both_ways(neighbours);
@@ -193,8 +194,8 @@ fn fused_and_unfused_steps_reach_the_same_quiescent_states() {
     live_and_packed_agree(&neighbours(false));
 }
 
-/// Arrivals within a node may cross: then the other's arrival releases each member, and a CONFIRM releases neither. The
-/// unfused steps reach more states than fused steps, lose none, and violate no property.
+/// Arrivals of two members on one node may cross: then each member is released by the other's arrival, and neither by a
+/// CONFIRM. So the unfused steps reach all states that the fused steps reach, and more, and violate no property.
 #[test]
 fn arrivals_that_cross_within_a_node_reach_states_of_their_own() {
     let [fused, quiet] = both_ways(members);

@@ -1,4 +1,4 @@
-//! Pinned results of the checker for the protocol's claims.
+//! Tests of the checker's results for the protocol's claims, some of which are pinned.
 
 use crate::support::worlds::{commands, endless, least_losses, literal, scenario, timed};
 use imrs_model::worlds::Meeting;
@@ -10,7 +10,7 @@ use std::sync::LazyLock;
 const RULES: [Confirmation; 4] =
     [Confirmation::None, Confirmation::FirstComplete, Confirmation::EveryComplete, Confirmation::PassOn];
 
-/// The report on the claim, which two tests read.
+/// The report on this claim, which two tests read.
 static UNDER_LOSS: LazyLock<Report> = LazyLock::new(|| settle("rendezvous-under-loss"));
 
 fn settle(claim: &str) -> Report {
@@ -33,8 +33,8 @@ fn the_default_is_to_confirm_when_complete_and_it_matters() {
         let without = least_losses(members, Confirmation::None);
         assert!(without < with, "{members} members: {without} and {with}");
     }
-    // The rule matters with retransmission, too: without a CONFIRM one loss lets a member give up although
-    // all have arrived.
+    // The confirmation rule matters with retransmission, too: without a CONFIRM one loss lets a member give up although all
+    // have arrived.
     let gives_up = |confirmation, loss| {
         let rules = Rules { confirmation, ..Rules::DEFAULT };
         let meeting = Meeting { rules, hurry: true, ..timed(2, Watch::GaveUpAfterAllArrived, loss, 3, 8) };
@@ -59,11 +59,10 @@ fn counts_of_small_worlds() {
     assert_eq!(counts, worlds.map(|(_, pinned)| pinned));
 }
 
-/// Numbers of states and transitions, and the depth. They change with the protocol or with a reduction, and with nothing
-/// else.
+/// Numbers of states and transitions, and the depth. They may change only if the protocol or a reduction changes.
 const PINNED: [(u64, u64, u64); 4] = [(75, 172, 12), (280, 1142, 11), (622, 1105, 22), (3568, 7447, 22)];
 
-/// The verdicts of the quick run on the cheap claims, computed once for all tests.
+/// The verdicts of the quick run on claims that need little time, computed once for all tests.
 fn cheap() -> Vec<Verdict> {
     let others = ["pairing", "class-2-resolves", "no-stale-delivery", "at-most-once"];
     UNDER_LOSS

@@ -1,5 +1,5 @@
-//! Tests of a couple's lease under the checker: how close the least lease that a declaration may have is to one that fails
-//! (D78).
+//! Tests of a couple's lease under the checker: how close the least lease that a declaration may have is to a lease that
+//! fails (D78).
 
 use imrs_model::cell_state::explore_cell_state;
 use imrs_model::cell_state::plan::{CellProperty, Faults, Goal};

@@ -1,5 +1,5 @@
-//! Cells of `examples/faulty`, each with one fault that shows only when the cell runs. The checker must find that fault at
-//! the place that the file states, and nothing else. If the wrong lines are corrected, it must find nothing.
+//! Tests of the cells in `examples/faulty`, each with one fault that shows only when the cell runs. The checker must find
+//! that fault at the place that the file states, and nothing else. If the wrong lines are corrected, it must find nothing.
 //!
 //! The first lines of such a file are comments:
 //! ```text
@@ -21,7 +21,7 @@ use std::sync::{Arc, LazyLock};
 /// The least number of faulty cells. Fewer would say too little about the checker.
 const FEWEST: usize = 25;
 
-/// Every kind of finding except `Kind::Machine`: no known cell makes the machine itself fail.
+/// Every kind of finding except `Kind::Machine`: no known cell makes the state machine itself fail.
 const KINDS: [Kind; 16] = [
     Kind::Deadlock,
     Kind::TimeOut,
@@ -41,7 +41,7 @@ const KINDS: [Kind; 16] = [
     Kind::LeaseLost,
 ];
 
-/// The text of a file whose cell the checker cannot search.
+/// The word in a file whose cell the checker cannot search.
 const NOT_CHECKED: &str = "\"not checked\"";
 
 struct Faulty {
@@ -86,7 +86,7 @@ fn faulty() -> Vec<Faulty> {
     all
 }
 
-/// The contents of a line `(* NAME: .. *)`; none if the line has another form.
+/// The contents of a line `(* NAME: .. *)`; `None` if the line has another form.
 pub fn comment<'a>(line: &'a str, name: &str) -> Option<&'a str> {
     Some(line.strip_prefix("(* ")?.strip_prefix(name)?.strip_prefix(": ")?.strip_suffix("*)")?.trim())
 }
@@ -104,7 +104,7 @@ pub fn right(text: &str) -> Option<String> {
     (!said.is_empty()).then(|| lines.join("\n"))
 }
 
-/// All findings and warnings.
+/// All findings and warnings of a check.
 pub fn all(verdicts: &Verdicts) -> impl Iterator<Item = &Finding> {
     verdicts.findings.iter().chain(&verdicts.warnings)
 }
@@ -126,13 +126,13 @@ fn cell(text: &str) -> Text {
     cell
 }
 
-/// How many states a second search may keep. Every finding comes within this number. The largest cell has four times as many
-/// states; `IMRS_AGAIN=250000` is enough for it.
+/// How many states a second search of the same cell may keep. Every finding comes within this number. The largest cell has
+/// four times as many states; `IMRS_AGAIN=250000` is enough for it.
 fn states_again() -> u64 {
     std::env::var("IMRS_AGAIN").map_or(60_000, |states| states.parse().expect("a number of states"))
 }
 
-/// A finding in the notation of the files. Its cause is given only if the file has one, too.
+/// A finding in the notation of the files. The cause is included only if `finds`, the line of the file, has one, too.
 pub fn told(cell: &Text, finding: &Finding, finds: &str) -> String {
     let place = cell.place(finding).map_or_else(String::new, |(line, column)| format!(" {line}:{column}"));
     let short = format!("\"{}\"{place}", finding.kind.name());
@@ -158,7 +158,7 @@ fn each_fault_is_found_where_its_cell_says_and_nothing_else() {
     assert_eq!(kinds, BTreeSet::from(KINDS), "each kind has its cell");
 }
 
-/// The reader of a finding must see its place, and the places of the other tasks that it concerns.
+/// A finding must say where it is, and where the other tasks are that it concerns.
 #[test]
 fn every_finding_has_a_place_and_those_whom_it_concerns_have_theirs() {
     for Checked { name, cell, verdicts, .. } in CHECKED.iter() {
@@ -212,7 +212,7 @@ fn the_way_to_each_fault_is_told_and_the_same_twice() {
     let states = states_again();
     for Checked { name, cell, verdicts: once, .. } in CHECKED.iter() {
         let mut plan = cell.plan.clone();
-        // The first search had two threads; this one has one.
+        // The first search had two threads; this search has one.
         (plan.jobs, plan.budget) = (1, within(states));
         let plan = Arc::new(plan);
         let again = check_cell(&plan);
@@ -246,8 +246,8 @@ fn the_way_to_each_fault_is_told_and_the_same_twice() {
     }
 }
 
-/// Findings that random runs miss. Two need a complete search; the third needs a cut and four ticks of drift at certain
-/// instants.
+/// Findings that random runs miss. Two of these findings need a complete search; the third needs a cut and four ticks of
+/// drift at certain instants.
 const NOT_AT_RANDOM: [(&str, Kind); 3] = [
     ("check_of_a_door_that_never_opens.cell", Kind::Vacuous),
     ("standby_of_a_slow_clock.cell", Kind::TwoOwners),

@@ -25,9 +25,9 @@ fn a_task_outside_makes_any_use_of_its_ports() {
     assert!(verdicts.statements[1].0 == verdicts.statements[1].1, "what a sends arrives");
 }
 
-/// An extern task may send to one of several receivers. The search tries one use of the port in each period, and no
-/// other timings. Statements that only other timings reach are not reported as superfluous, and checks that only they
-/// decide are not reported as vacuous.
+/// An extern task may send to one of several receivers. The search tries one use of the port in each period, and no other
+/// timings. So a statement that only other timings reach is not reported as superfluous, and a check that only other
+/// timings decide is not reported as vacuous.
 #[test]
 fn a_task_outside_tells_one_of_several_and_may_come_at_other_times() {
     let takes = |name: &str| {
@@ -56,7 +56,7 @@ fn a_task_outside_tells_one_of_several_and_may_come_at_other_times() {
     assert_eq!(verdicts.not_tried.len(), 1, "{:?}", verdicts.not_tried);
 }
 
-/// The first statement that asks does not read the answer; the second one does.
+/// The first statement that asks the extern task does not read the answer; the second statement does.
 #[test]
 fn a_task_outside_answers_in_the_format_that_any_statement_reads() {
     let text = "cell out;\ntick 1 msec;\nnode na;\ntype Num is record n: int8; end;\n\
@@ -70,7 +70,8 @@ fn a_task_outside_answers_in_the_format_that_any_statement_reads() {
     assert!(said.iter().all(|(kind, _)| *kind != Kind::ScriptFault), "{said:?}");
 }
 
-/// What an extern task does next is unknown. So it is in no standstill, even if it asks again and again without an answer.
+/// What an extern task does next is unknown. So an extern task is in no standstill, even if it asks again and again without
+/// an answer.
 #[test]
 fn a_task_outside_is_at_no_standstill() {
     let asks = |a: &str| {
@@ -144,8 +145,8 @@ fn reals_of_a_task_outside_come_on_both_sides_of_what_they_are_compared_with() {
     assert_eq!(tried.real_left_out, [12.5, 13.5, 14.5, 15.5]);
 }
 
-/// The communication task sends heartbeats by itself: an extern task does not use their port. It takes over as any other
-/// task does, and goes on when it has the lease again.
+/// The communication task sends heartbeats by itself: an extern task does not use their port. The extern task takes over as
+/// any other task does, and goes on when it has the lease again.
 #[test]
 fn a_task_outside_takes_over_and_leaves_the_heartbeats_alone() {
     let text = "cell out;\ntick 1 msec;\nnode na; node nb; node nc;\n\

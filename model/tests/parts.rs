@@ -7,8 +7,8 @@ use imrs_protocol::TaskId;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-/// A part of a cell: a feeder puts parts on a belt, over a relay. All names end with the letter of this line. The feeder
-/// does not handle a lost answer.
+/// A part of a cell: a feeder puts parts on a belt, over a relay. All names end with the letter `of`. The feeder does not
+/// handle the loss of an answer.
 fn line(of: char) -> String {
     format!(
         "node f{of}; node r{of}; node b{of};\nlink f{of} -- r{of} delay 1 msec;\nlink r{of} -- b{of} delay 1 msec;\n\
@@ -34,7 +34,7 @@ const MEETING: &str = "node l; node r;\nlink l -- r delay 1 msec;\n\
 
 const HEAD: &str = "cell lines;\ntick 1 msec;\n";
 
-/// Adds checks that are true in every state and read tasks of several parts, which joins the parts.
+/// Adds checks that are true in every state. Each reads tasks of several parts, so that it joins these parts.
 fn joined(text: &str, tasks: &[&str]) -> String {
     let pairs = tasks.windows(2).enumerate();
     let checks: Vec<String> = pairs
@@ -55,7 +55,8 @@ fn cell(text: &str, times: Times) -> Text {
 
 type Key = (Kind, Phase, Vec<TaskId>, Option<u16>, Option<usize>, Option<usize>);
 
-/// The findings by key. Starvation counts as a time_out, because it is judged on one path only.
+/// The findings, each as a text by which it can be compared. Starvation counts as a time_out, because it is judged on one
+/// path only.
 fn keys(verdicts: &Verdicts) -> BTreeSet<String> {
     let key = |finding: &Finding| -> Key {
         let kind = if finding.kind == Kind::Starves { Kind::TimeOut } else { finding.kind };
@@ -74,7 +75,8 @@ fn parts(verdicts: &Verdicts) -> Vec<u32> {
     verdicts.phases.iter().map(|phase| phase.parts).collect()
 }
 
-/// Tests loss, a crash and a cut in turn, in two copies of a line, and in a line with a different part.
+/// Compares the searches of the parts and of the whole, with a loss, a crash and a cut in turn: for two copies of a line,
+/// and for a line beside a different part.
 #[test]
 fn parts_by_themselves_show_what_the_whole_shows() {
     let lines = format!("{HEAD}{}{}", line('x'), line('y'));
@@ -105,7 +107,7 @@ fn parts_by_themselves_show_what_the_whole_shows() {
     assert!(by_parts * 10 < at_once, "{by_parts} states, as a whole {at_once}");
 }
 
-/// Without any reduction the cell is searched as a whole.
+/// Without reductions the cell is searched as a whole, with the same findings.
 #[test]
 fn the_plain_form_finds_the_same() {
     let short = |of: char| line(of).replace("if n = 3", "if n = 2");
@@ -122,7 +124,7 @@ fn the_plain_form_finds_the_same() {
     assert!(states(&apart) * 5 < states(&whole));
 }
 
-/// Tasks that share a node, a relay or a check are in one part. Otherwise they are in two parts.
+/// Two tasks that share a node, a relay or a check are in one part. Otherwise they are in two parts.
 #[test]
 fn what_is_shared_joins() {
     let two = format!("{HEAD}{}{}", line('x'), line('y')).replace("n > 3", "n > 1");
@@ -171,9 +173,9 @@ fn a_part_at_its_end_is_seen_beside_one_that_goes_on() {
     assert_eq!(whole.of(Kind::Deadlock).count(), 1);
 }
 
-/// An `abort` ends all paths of the search without faults, and none of those with a fault. So a finding that needs no fault,
-/// but comes after an `abort` of another part, needs a fault in the search of the whole. The searches of the parts show it
-/// without one.
+/// An `abort` ends all paths of the search without faults, and no path of a search with a fault. So a finding that needs no
+/// fault, but comes after an `abort` of another part, needs a fault in the search of the whole cell. The searches of the
+/// parts show the finding without a fault.
 #[test]
 fn what_comes_after_an_abort_of_another_part_is_said_to_need_no_fault() {
     let text = "cell two;\ntick 1 msec;\nnode na; node nb; node nc;\nlink na -- nb delay 1 msec;\n\
@@ -224,7 +226,7 @@ fn a_finding_is_drawn_and_replayed_within_its_part() {
     assert_ne!(counts(last), counts(&scenes[0]), "the belt has counted");
 }
 
-/// A random cell without its head, with other names.
+/// The text of a random cell without its head and with other names, so that it can be joined to another cell.
 fn renamed(text: &str) -> String {
     let mut out = String::new();
     let mut word = String::new();
@@ -254,8 +256,8 @@ fn renamed(text: &str) -> String {
     out.lines().filter(|line| !is_head(line)).map(|line| format!("{line}\n")).collect()
 }
 
-/// Two texts from two seeds: one cell with the two random cells as separate parts, and the same cell with a check that joins
-/// them. `None` if the two cannot be separate parts, or if the compiler refuses the cell.
+/// Two texts from the seed: a cell with two random cells as separate parts, and the same cell with a check that joins the
+/// parts. `None` if the two cannot be separate parts, or if the compiler refuses the cell.
 fn pair(seed: u64) -> Option<[String; 2]> {
     let [one, other] = [random_text(2 * seed + 1), random_text(2 * seed + 2)];
     let unlike =
@@ -265,8 +267,8 @@ fn pair(seed: u64) -> Option<[String; 2]> {
     (!unlike(&one) && !unlike(&other) && is_sound(&whole)).then_some([text, whole])
 }
 
-/// The findings of this phase, by key and task. Deadlocks are left out, because one part may have a deadlock while
-/// another part goes on.
+/// The findings of this phase, each as a text with its task. Deadlocks are left out, because one part may have a deadlock
+/// while another part goes on.
 fn judged(verdicts: &Verdicts, phase: Phase) -> BTreeSet<String> {
     let mut verdicts = verdicts.clone();
     verdicts.findings.retain(|finding| finding.kind != Kind::Deadlock && finding.phase == phase);
@@ -281,8 +283,8 @@ fn judged(verdicts: &Verdicts, phase: Phase) -> BTreeSet<String> {
 /// How the findings of the parts and of the whole differ; `None` if they agree.
 ///
 /// In the search of the whole cell, a finding that ends paths in one part hides later findings of the other part. If no
-/// path of a phase is ended (pruned), the searches of the parts show the same in that phase. If the phase without
-/// faults is pruned, the whole may show with a fault what the parts show without one.
+/// path of a phase is ended in this way (pruned), the searches of the parts show the same in that phase. If the phase
+/// without faults is pruned, the whole may show with a fault what the parts show without one.
 fn difference(apart: &Verdicts, whole: &Verdicts) -> Option<String> {
     let hides = |phase: Phase| whole.phases.iter().any(|one| one.phase == phase && one.pruned);
     let hidden = [Phase::FaultFree, Phase::Faults].map(hides);
@@ -322,9 +324,10 @@ fn searched(text: &str, whole: &str) -> Option<[Verdicts; 2]> {
     whole.is_complete().then(|| [check(text), whole])
 }
 
-/// Seeds of pairs whose whole is pruned, although the searches of the parts are complete. In the first, an `abort` of one
-/// part hides a finding without a fault, which the whole shows only with a fault. In the second, a part overflows its packed
-/// states behind a broken check of the other. In the third, only a search with faults sees the states behind an `abort`.
+/// Seeds of pairs whose whole is pruned, although the searches of the parts are complete. With the first seed, an `abort`
+/// of one part hides a finding without a fault, which the search of the whole shows only with a fault. With the second
+/// seed, one part overflows its packed states after a broken check of the other part. With the third seed, only a search
+/// with faults sees the states after an `abort`.
 const HIDDEN: [u64; 3] = [243, 409, 531];
 
 /// Compares pairs of random cells, by parts and joined by a check. `PAIRS` is the number of pairs, `PAIR_SEED` the first
@@ -338,8 +341,8 @@ fn random_cells_beside_each_other() {
         let Some([text, joined]) = pair(seed) else { continue };
         let Some([apart, whole]) = searched(&text, &joined) else { continue };
         let pruned = whole.phases.iter().any(|phase| phase.pruned);
-        // If the whole can be searched, so can its parts, because together they have no more states. But if the whole is
-        // pruned, a part may be too large.
+        // If the whole can be searched, so can its parts, because the parts together have no more states. But if the whole
+        // is pruned, a part may be too large.
         assert!(apart.is_complete() || pruned, "PAIR_SEED={seed}:\n{text}");
         if !apart.is_complete() {
             continue;
@@ -357,7 +360,7 @@ fn random_cells_beside_each_other() {
         "{compared} pairs, {whole_seen} seen whole, {shown} with findings: {apart_states} states, as a whole {whole_states}"
     );
     assert!(differing.is_empty(), "{}", differing.join("\n"));
-    // A single pair need not have a finding, so few pairs are not judged.
+    // A single pair need not have a finding, so the counts of a few pairs are not judged.
     if pairs < 60 {
         return;
     }

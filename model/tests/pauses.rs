@@ -1,4 +1,4 @@
-//! Tests of nodes that pause: findings with pauses, and that the reduction of pauses changes no finding.
+//! Tests of nodes that pause: which findings pauses cause, and that the reduction of pauses changes no finding.
 
 use crate::cells::{Text, within};
 use crate::faulty_cells::right;
@@ -52,7 +52,7 @@ fn a_lease_holds_however_long_its_owner_pauses() {
     for length in ["", " up to 3 msec", " up to 24 msec", " up to 60 msec"] {
         let verdicts = checked(&couple(&format!("faults pause r1{length};")), Times::Ends, |_| ());
         assert!(verdicts.findings.is_empty(), "{length}: {:?}", verdicts.findings);
-        // A pause shorter than the lease less a heartbeat has no effect. A longer one makes the standby take over.
+        // A pause shorter than the lease less a heartbeat has no effect. A longer pause makes the standby take over.
         let took_over = verdicts.statements[1];
         assert_eq!(took_over.0 == took_over.1, length != " up to 3 msec", "{length}: {took_over:?}");
         assert!(verdicts.still.is_empty() == (length != " up to 3 msec"), "{length}: {:?}", verdicts.still);
@@ -83,8 +83,8 @@ fn a_standby_that_takes_silence_for_death_is_found_and_its_chart_shows_the_pause
     assert!(verdicts.of(Kind::Check).next().is_none(), "and a long one");
 }
 
-/// A cell in which one task decides and acts. It is done within 25 msec, unless it pauses between the decision and the
-/// action.
+/// A cell in which one task decides and acts. The task is done within 25 msec, unless its node pauses between the decision
+/// and the action.
 const DECIDED: &str = "cell decided; tick 1 msec; node na;
 task a on na
   var goes, done: bool;
@@ -96,7 +96,7 @@ check soon: a.goes leads a.done within 25 msec;";
 
 #[test]
 fn a_pause_may_come_between_a_decision_and_its_action() {
-    // Here another statement runs the same action with other times.
+    // In this cell another statement runs the same action with other times.
     let twice = DECIDED.replace("done := true;", "done := true; run go takes 7 msec;");
     for (text, times) in [Times::Ends, Times::Between, Times::Every]
         .map(|times| (DECIDED, times))
@@ -131,7 +131,7 @@ task b on nb
 begin
   receive put() within 300 msec on time_out do assert false; end;
 end b;";
-    // The message comes after a tick, and then waits for as long as the node is paused.
+    // The message arrives after a tick, and then waits as long as the node is paused.
     let misses = |text: &str, lasts: u32| {
         let pause = Fault::Pause { node: NodeId(1), at: 0, lasts, before_action: false };
         let schedule = Schedule { faults: vec![pause], ..Schedule::default() };
@@ -160,7 +160,7 @@ begin
 end a;
 check in_time: a.begun leads a.rang within 20 msec;";
     let breaks = |text: &str| {
-        // The action ends after 5 ticks, which is the first thing that the node would do.
+        // The action ends after 5 ticks. This end is the first thing that the node would notice.
         let pause = Fault::Pause { node: NodeId(0), at: 5, lasts: 10, before_action: false };
         let schedule = Schedule { faults: vec![pause], ..Schedule::default() };
         let simulator = Simulator::new(&Arc::new(Text::new(text).plan), 100).expect("small enough");
@@ -172,7 +172,7 @@ check in_time: a.begun leads a.rang within 20 msec;";
     assert!(breaks(&text.replace("within 20", "within 19")));
 }
 
-/// If a node could not pause or wake at some moment in the reduced search, that search would miss a finding here.
+/// If the reduced search left out a needed moment for a pause or a wake-up, it would miss a finding here.
 #[test]
 fn pauses_at_any_moment_find_no_more() {
     for text in [SILENCE, DECIDED, &couple("faults pause r1 up to 30 msec;")] {
@@ -191,7 +191,7 @@ fn pauses_at_any_moment_find_no_more() {
     }
 }
 
-/// The same test with random cells: 400 in `.ci/long`. `PAUSE_SEED` is the first seed.
+/// The same comparison with random cells: 400 in `.ci/long`. `PAUSE_SEED` is the first seed.
 #[test]
 fn random_pauses_at_any_moment_find_no_more() {
     let (cells, first) = (number("PAUSE_CELLS", 40), number("PAUSE_SEED", 1));

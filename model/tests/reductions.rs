@@ -24,8 +24,8 @@ fn run(reductions: Reductions, meeting: &Meeting) -> Exploration {
     found
 }
 
-/// Compares the search with all reductions with searches in which one or all of them are off. Returns by which factor all of
-/// them reduce the states.
+/// Compares the search with all reductions with searches in which one or all of them are off. Returns by which factor all
+/// reductions together reduce the states.
 fn same(meeting: &Meeting) -> f64 {
     let reduced = run(Reductions::ALL, meeting);
     let mut ratio = 0.0;
@@ -34,8 +34,8 @@ fn same(meeting: &Meeting) -> f64 {
         assert_eq!(found.violation, reduced.violation, "{reductions:?}");
         let length = |found: &Exploration| found.path.as_ref().map(Vec::len);
         assert_eq!(length(&found), length(&reduced), "{reductions:?}");
-        // A failing search stops within a level, so its counts say nothing. With turns there are fewer transitions, but
-        // states are also distinguished by whose turn it is.
+        // A search that finds a violation stops within a level, so its counts say nothing. With the reduction by turns
+        // there are fewer transitions, but states also differ by which node's turn it is.
         let fewer = found.states >= reduced.states || (!reductions.turns && reductions.ignores);
         assert!(found.violation.is_some() || fewer, "{reductions:?}");
         // After a crash all nodes take turns again, so some interleavings of a tick are explored twice.
@@ -55,8 +55,8 @@ fn two_members_hold() {
     same(&Meeting { attempts: Some(2), ..endless(2, 1) });
 }
 
-/// Members with equal features are sorted with their incarnations. Once no node can crash any more, unnoticed packets are
-/// dropped.
+/// Sorting members with equal features also considers their incarnations. When no node can crash any more, unnoticed
+/// packets are dropped.
 #[test]
 fn members_that_restart() {
     let crash = Budget { loss: 0, dup: 0, crash: 1 };
@@ -82,9 +82,9 @@ fn two_members_fail() {
     same(&timed(2, Watch::Reachable, 1, 3, 5));
 }
 
-/// No reduction may miss a loss just before the faults end. Only verdicts are compared, because an unnoticed packet that is
-/// not dropped must still arrive before time can pass, which makes paths longer. (If such packets are kept, the endless
-/// attempts of these scenarios take minutes.)
+/// No reduction may miss a loss just before the faults end. Only verdicts are compared, because without the reduction an
+/// unnoticed packet must still arrive before time can pass, which makes paths longer. (If such packets are kept, the
+/// endless attempts of these scenarios take minutes.)
 #[test]
 fn two_members_meet_again() {
     for (attempts, holds) in [(1, false), (2, true)] {
@@ -133,7 +133,7 @@ fn all_reductions_together_leave_a_twentieth_of_the_states() {
     assert!(none.states >= 20 * all.states, "{} states and {}", all.states, none.states);
 }
 
-/// The states to which a tick, a restart or the end of faults leads, without their turns.
+/// The states to which a tick, a restart or the end of faults leads, without the marks of the reduction by turns.
 fn after_barriers(scenario: &Arc<Scenario>) -> HashSet<Packed> {
     let model = WorldModel::new(scenario, Limits::default());
     let mut found = HashSet::new();
@@ -162,7 +162,7 @@ fn turns_lead_to_the_same_states_after_every_tick() {
         Meeting { delay: Some(2), ..timed(2, Watch::AllOrNone, 0, 2, 5) },
         timed(3, Watch::AllOrNone, 0, 0, 2),
     ];
-    // If rounds or commands follow each other, the intermediate states decide when a packet is found to be unnoticed.
+    // If rounds or commands follow each other, it depends on the interleaving when a packet is found to be unnoticed.
     let noticed = Reductions { ignores: false, ..Reductions::ALL };
     let exchanges = [Watch::AtMostOnce, Watch::Resolves];
     let exchanges = exchanges.map(|watch| {

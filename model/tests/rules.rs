@@ -1,4 +1,5 @@
-//! Tests of the cells of `examples/rules`. Each states one rule of the system by its assertions and checks, which must hold.
+//! Tests of the cells in `examples/rules`. Each states one rule of the system by its assertions and checks, which must
+//! hold.
 //!
 //! A rule about something that goes wrong without a fault has a finding: `(* verify finds: .. *)`, as in `examples/faulty`.
 

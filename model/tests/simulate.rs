@@ -1,5 +1,5 @@
-//! Random runs of a cell: their findings, how findings are shrunk, and that the runs make only moves that the search makes,
-//! too.
+//! Random runs of a cell: their findings, how findings are shrunk, and that the runs make only moves that the search also
+//! makes.
 
 use crate::cells::{Text, is_alike, within};
 use crate::guard::{number, random_cell};
@@ -62,7 +62,7 @@ fn the_same_seeds_show_the_same_for_any_number_of_threads() {
     }
 }
 
-/// A seed alone shows what it shows among many seeds, and so does its schedule.
+/// The run of a single seed shows the same findings as the run of this seed among many, and so does its schedule.
 #[test]
 fn a_seed_and_a_schedule_show_again_what_was_found() {
     for name in
@@ -90,7 +90,8 @@ fn a_seed_and_a_schedule_show_again_what_was_found() {
     }
 }
 
-/// Charts, recordings and causes replay the moves of a finding. A move that panics in that replay is the last one shown.
+/// Charts, recordings and causes replay the moves of a finding. If a move panics in that replay, it is the last move that
+/// is shown.
 #[test]
 fn a_finding_whose_last_move_panics_is_shown() {
     let mut plan = example("faulty/part_placed_twice.cell").plan;
@@ -193,8 +194,8 @@ fn what_is_sound_shows_nothing() {
     }
 }
 
-/// Random runs make only moves of the search: the search finds everything that they show, and they reach no statement that
-/// it calls unreached.
+/// Random runs make only moves of the search: the search finds everything that they show, and no run reaches a statement
+/// that the search calls unreached.
 #[test]
 fn the_search_finds_what_random_runs_of_random_cells_show() {
     let cells = number("IMRS_CELLS", 70);
@@ -270,12 +271,13 @@ fn one_fault_happens_where_the_plan_says() {
         let checks: Vec<_> = all.found.iter().map(|found| found.finding.check).collect();
         assert_eq!((checks, &all.idle[..]), (vec![Some(0)], &[][..]), "{fault:?}");
         assert!(all.found[0].with_faults(), "{fault:?}");
-        // These runs have the same fault with random choices.
+        // The runs of these seeds have the given fault, and random choices.
         let any = simulator.seeds((1, 20), Some(std::slice::from_ref(&fault)), &mut |_, _| ());
         assert!(any.found[0].runs == 20 && any.with_faults == 20, "{fault:?}: {any:?}");
         assert!(any.idle.is_empty(), "{fault:?}: {any:?}");
     }
-    // A duplicate happens but has no effect, because it is answered as the original was. The faults after it never happen.
+    // A duplicate happens but has no effect, because the receiver answers it with the same answer. The faults after it
+    // never happen.
     let copied = Fault::Copy { link: to, nth: 2 };
     let all = simulator.schedule(&with(&copied), false);
     assert!(all.found.is_empty() && all.idle.is_empty(), "{all:?}");
@@ -292,11 +294,11 @@ fn one_fault_happens_where_the_plan_says() {
         let any = simulator.seeds((1, 20), Some(&[fault.clone(), drift.clone()]), &mut |_, _| ());
         assert_eq!(any.idle, [fault], "the clock was wrong in each run");
     }
-    // Without faults the run goes to its end.
+    // Without faults the run goes on until nothing can happen any more.
     assert_eq!(simulator.schedule(&Schedule::default(), false).ended[Ended::Over as usize], 1);
 }
 
-/// If a fault is left out, the choices of the other choosers do not shift.
+/// If a fault is left out of a schedule, the choices of the other choosers do not shift.
 #[test]
 fn each_chooser_has_choices_of_its_own() {
     let cell = Text::new(ASKS);
@@ -309,7 +311,8 @@ fn each_chooser_has_choices_of_its_own() {
     let [lost, plain] = charts.each_ref().map(ends);
     assert!(plain.len() == 3 && lost[..2] == plain[..2], "{}\n{}", charts[0], charts[1]);
     let task = TaskId::from_index(0);
-    // An action of 5 to 9 ticks ends at any of five instants: its least time, or its most time less 3, 2, 1 or 0.
+    // An action of 5 to 9 ticks ends at any of five instants: after its least time, or after its most time less 3, 2, 1 or
+    // 0 ticks.
     let instants: Vec<u64> = (0..=5)
         .map(|choice| {
             let tape = Tape::from([(Chooser::Task(task), vec![choice])]);

@@ -1,4 +1,4 @@
-//! Tests of standstills: tasks that go on for ever without progress are reported, and no other tasks.
+//! Tests of standstills: tasks that go on for ever without progress are reported, and no other tasks are.
 
 use crate::cells::{Text, within};
 use crate::faulty_cells::right;
@@ -7,7 +7,7 @@ use imrs_protocol::NodeId;
 
 const ZONES: &str = include_str!("../../examples/faulty/robots_poll_for_each_others_zone.cell");
 
-/// The file with its wrong lines corrected: both tasks take the left zone first.
+/// The faulty cell with its wrong lines corrected: both tasks take the left zone first.
 fn in_order() -> String {
     right(ZONES).expect("it says what is right")
 }
@@ -21,7 +21,7 @@ fn checked(text: &str, change: impl FnOnce(&mut Text)) -> (Text, Verdicts) {
     (cell, verdicts)
 }
 
-/// The fault hypothesis that the node of `a` may crash, and may stay down.
+/// A fault hypothesis: the node of `a` may crash, and may stay down.
 fn dead() -> CellFaults {
     CellFaults { crash: vec![NodeId(0)], ..CellFaults::default() }
 }
@@ -92,7 +92,7 @@ fn what_nobody_waits_for_and_what_still_changes_is_no_standstill() {
     let reports = "loop send news(1); delay 10 msec; end;";
     let (_, verdicts) = checked(&two(reports, "loop receive news(n); end;"), |_| ());
     assert_eq!(causes(&verdicts), [""; 0]);
-    // One task asks until the answer is `true`. The variable with the answer changes.
+    // One task asks until the answer is `true`. The variable for the answer changes.
     let counts = "order ask > self;
   on query ask(k) do yes := not yes; response(yes); end;";
     let (_, verdicts) = checked(&two(counts, ASKS), |_| ());
@@ -104,7 +104,8 @@ fn what_nobody_waits_for_and_what_still_changes_is_no_standstill() {
     assert_eq!(causes(&verdicts), ["b goes on for ever, and no task makes progress any more"]);
 }
 
-/// Members that give up alone for ever overflow their packed state, and an incomplete search reports no standstill.
+/// Members that give up alone for ever overflow their packed state. Then the search is incomplete, and reports no
+/// standstill.
 #[test]
 fn meetings_that_complete_are_progress() {
     let text = |b: &str| {

@@ -59,7 +59,7 @@ static HELD: LazyLock<Vec<Held>> = LazyLock::new(|| {
         // Two tests wait for this search, so it may use two threads.
         let (walk, found) = std::thread::scope(|scope| {
             let found = scope.spawn(|| explore(&scenario, Limits::default(), None));
-            // `successors` also asserts that every listed action leads somewhere.
+            // `successors` also asserts that every listed action leads to some state.
             (walk(&scenario), found.join().expect("an exploration"))
         });
         Held { scenario, found, walk }
@@ -71,7 +71,8 @@ static HELD: LazyLock<Vec<Held>> = LazyLock::new(|| {
 fn a_counterexample_is_a_shortest_one() {
     for scenario in failing() {
         let found = explore(&scenario, Limits::default(), None);
-        // The other search goes level by level and compares whole states. No level before this one has a violation.
+        // The independent search goes level by level and compares whole states. No level before the first violation may
+        // have another one.
         let shortest = walk(&scenario).violated_at;
         assert!(shortest.is_some_and(|depth| depth > 1), "{:?}", scenario.watch);
         assert_eq!(found.path.map(|path| path.len()), shortest, "{:?}", scenario.watch);
@@ -120,7 +121,7 @@ fn a_canonical_state_stands_for_itself() {
 fn a_step_depends_on_its_state_and_on_nothing_looked_at_before() {
     for Held { scenario, walk, .. } in HELD.iter() {
         let worn = WorldModel::new(scenario, Limits::default());
-        // The states are taken backwards, so that the scratch world holds other leftovers than in the search.
+        // The states are taken backwards, so that the working memory of the world holds other leftovers than in the search.
         for state in walk.states.iter().rev().step_by(7).take(4_000) {
             let fresh = WorldModel::new(scenario, Limits::default());
             assert_eq!(successors(&worn, state), successors(&fresh, state), "after {state:?}");
@@ -151,7 +152,8 @@ fn every_renaming_of_a_state_has_one_canonical_form() {
     ];
     let mut dice = Dice(0x1987_0701);
     for meeting in worlds {
-        // Turns depend on the order of members, so renamed members take other turns. Another test compares turns.
+        // Turns depend on the order of members, so renamed members take turns in another order. Another test compares
+        // turns.
         let free = Reductions { turns: false, ..Reductions::ALL };
         let named = with(Reductions { symmetry: false, ..free }, &meeting);
         let named = WorldModel::new(&named, Limits::default());
@@ -164,7 +166,7 @@ fn every_renaming_of_a_state_has_one_canonical_form() {
             let other = named.renamed(&state, &order);
             renamings += usize::from(other != state);
             assert_eq!(sorted.canonical(&state), sorted.canonical(&other), "{state:?} renamed by {order:?}");
-            // Renamed members take renamed actions, so the successors have the same canonical forms, too.
+            // Renamed members take renamed actions, so the successors must have the same canonical forms, too.
             let futures = |state| {
                 let mut futures: Vec<_> = successors(&named, state)
                     .iter()
@@ -178,7 +180,8 @@ fn every_renaming_of_a_state_has_one_canonical_form() {
             assert_eq!(futures(&state), futures(&other), "after {state:?} renamed by {order:?}");
             let open: Vec<_> =
                 successors(&named, &state).into_iter().filter(|(_, after)| !after.is_final()).collect();
-            // The walk restarts from time to time, because a world in which all have finished only ticks.
+            // The random walk restarts from time to time, because in a world in which all tasks have finished only ticks
+            // pass.
             state = match open.len() {
                 n if n > 0 && dice.below(25) > 0 => open[dice.below(n)].1.clone(),
                 _ => named.init_states().remove(0),
@@ -220,7 +223,8 @@ fn no_state_is_a_dead_end_unless_everybody_has_finished() {
         [2, 3].map(|n| scenario(&Meeting { attempts: Some(2), ..Meeting::new(n, Watch::FalseRelease) }));
     let mut ends = 0;
     for scenario in holding().into_iter().chain(untimed) {
-        // With turns, some interleavings lead nowhere: a closed node waits there for a packet that never comes.
+        // With the reduction by turns, some interleavings lead nowhere: there a closed node waits for a packet that never
+        // comes.
         let mut free = Scenario::clone(&scenario);
         free.reductions.turns = false;
         let scenario = Arc::new(free);

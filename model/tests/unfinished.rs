@@ -1,4 +1,4 @@
-//! What a search tells while it runs, and what it says of states that a budget left.
+//! What a search reports while it runs, and what it says of states that it left because a budget ended.
 
 use crate::cells::{Text, within};
 use imrs_model::cell::{Coverage, FoundSoFar, Phase, SearchProgress, SoFar, Times, check_cell_and_tell};
@@ -15,7 +15,7 @@ const HALL: &str = "cell hall;\ntick 1 msec;\nnode floor;\nnode office;\nlink fl
     bounded_buffer[2];\nvar grams: int16; var none: int16;\nbegin\n\
     loop receive part(); grams := grams + 30; none := 0; end;\nend counter;\n";
 
-/// Writes down what it is told.
+/// Records what the search reports.
 #[derive(Default)]
 struct Told(RefCell<Vec<String>>);
 

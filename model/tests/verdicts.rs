@@ -11,7 +11,7 @@ fn kinds(text: &str) -> Vec<Kind> {
     all(&Text::new(text)).into_iter().map(|(kind, _)| kind).collect()
 }
 
-/// Nodes are not ordered within a tick: a value from the tick's beginning and one from its end may hold at once.
+/// Nodes are not ordered within a tick: one node's value before the tick and another's after it may hold at once.
 #[test]
 fn a_check_that_reads_two_nodes_holds_in_either_order_of_a_tick() {
     let gate = |left: &str, right: &str, turn: &str| {
@@ -27,7 +27,7 @@ fn a_check_that_reads_two_nodes_holds_in_either_order_of_a_tick() {
         assert_eq!(kinds(&gate(left, right, "5..10 msec")), [Kind::Check], "left on {left}");
         assert_eq!(kinds(&gate(left, right, "5..9 msec")), [], "left on {left}");
     }
-    // Tests the same with two delays that end in one step of the search.
+    // The same with two delays that end in one step of the search.
     let waits = |a: &str, b: &str| {
         format!(
             "{TWO}task a on {a}\nvar x: bool;\nbegin x := true; delay 5 msec; x := false; end a;\n\
@@ -36,7 +36,7 @@ fn a_check_that_reads_two_nodes_holds_in_either_order_of_a_tick() {
     };
     assert_eq!(kinds(&waits("na", "nb")), [Kind::Check]);
     assert_eq!(kinds(&waits("nb", "na")), [Kind::Check]);
-    // Here both tasks are on one node, whose threads may run them in either order.
+    // In this cell both tasks are on one node, whose threads may run them in either order.
     assert_eq!(kinds(&waits("na", "na")), [Kind::Check]);
 }
 
@@ -51,7 +51,7 @@ fn of_two_tasks_of_a_node_either_goes_on_first() {
         let text = format!("{ONE}{}check c: never a.x and b.y;\n", tasks.concat());
         assert_eq!(kinds(&text), [Kind::Check], "{text}");
     }
-    // Either message may also come first, so every statement is reached.
+    // Either message may also arrive first, so every statement is reached.
     let says = |name: &str, port: &str| {
         format!(
             "task {name} on na\nport {port}() usage = send user_list = {{c}} time_out = 50 msec;\nbegin delay 5 msec; send {port}(); end {name};\n"
@@ -66,7 +66,7 @@ fn of_two_tasks_of_a_node_either_goes_on_first() {
     );
 }
 
-/// Two tasks of a node each enter unless the other has said that it entered. Both may send that message before either
+/// Two tasks of a node each enter unless the other has said that it entered. Both tasks may send that message before either
 /// receives it.
 #[test]
 fn what_two_tasks_of_a_node_send_each_other_may_cross() {
@@ -86,8 +86,8 @@ fn what_two_tasks_of_a_node_send_each_other_may_cross() {
     assert!(!zone("6 msec"), "what was said a tick ago was heard");
 }
 
-/// A message comes before or after an event of its receiver in the same tick: the end of a delay or timer, or the success or
-/// failure of an action.
+/// A message may arrive before or after an event of its receiver in the same tick: the end of a delay or timer, or the
+/// success or failure of an action.
 #[test]
 fn a_message_of_a_tick_comes_before_or_after_what_its_receiver_does_by_itself() {
     let ends = |wait: &str, faults: &str| {
@@ -110,7 +110,7 @@ fn a_message_of_a_tick_comes_before_or_after_what_its_receiver_does_by_itself() 
     assert_eq!(ends(&format!("order m > self; delay 4 msec; {told}"), ""), 1);
 }
 
-/// A held-back script begins before or after the acts of other scripts in the same tick.
+/// A held-back script may begin before or after the steps of other scripts in the same tick.
 #[test]
 fn a_script_that_was_held_back_begins_before_or_after_the_others() {
     let x = "task x on na\nport p() usage = send user_list = {z} time_out = 10 msec class = 2;\nvar begun: bool;\nbegin begun := true; delay 500 msec;\n\
@@ -213,7 +213,7 @@ fn a_deadlock_is_found_beside_a_task_that_goes_on() {
     for other in ["", idle, acts] {
         assert_eq!(kinds(&ring(other)), [Kind::Deadlock], "{other}");
     }
-    // A task with a handler for a third task's messages may still be helped by that task.
+    // A task that has a handler for messages of a third task may still be helped by that task.
     let helps = "task c on na\nport r() usage = send user_list = {a} time_out = 20 msec;\n\
         begin loop delay 50 msec; send r(); end; end c;\n";
     let heard = ring(helps).replace(
@@ -223,7 +223,7 @@ fn a_deadlock_is_found_beside_a_task_that_goes_on() {
     assert_eq!(kinds(&heard), []);
 }
 
-/// Two tasks have only handlers, and the first one sends to the second. At rest, neither waits for the other.
+/// Two tasks have only handlers, and the first one sends to the second. When both rest, neither waits for the other.
 #[test]
 fn servers_at_rest_are_no_deadlock() {
     let text = format!(
@@ -236,7 +236,7 @@ fn servers_at_rest_are_no_deadlock() {
     assert_eq!(kinds(&text), []);
 }
 
-/// An action gives a real by its bits. The adjacent floats on both sides of a constant are tried.
+/// An action gives a real result as its bits. The adjacent floats on both sides of a constant are tried.
 #[test]
 fn a_real_result_comes_on_both_sides_of_what_it_is_compared_with() {
     let text = |range: &str, when: &str| {
@@ -269,7 +269,7 @@ fn statements_of_one_action_have_their_own_results() {
     assert_eq!(kinds(&wide), breaks);
 }
 
-/// A standstill in which every question is answered must not hide one in which a question is not.
+/// A standstill in which every question is answered must not hide a standstill in which a question is not answered.
 #[test]
 fn one_standstill_does_not_hide_another() {
     let text = |k: &str| {
@@ -304,8 +304,8 @@ fn an_answer_of_long_ago_ends_no_search() {
     assert_eq!(verdicts.warnings.iter().map(|warning| warning.kind).collect::<Vec<_>>(), [Kind::Standstill]);
 }
 
-/// A branch for a time_out that no searched fault causes may lead to statements that need no fault themselves. These
-/// are not reported as unreached.
+/// A branch for a time_out that no searched fault causes may lead to statements that need no fault themselves. Such
+/// statements are not reported as unreached.
 #[test]
 fn what_only_an_untried_fault_leads_to_is_no_finding() {
     let asks = |first: &str, on_time_out: &str| {
@@ -321,8 +321,8 @@ fn what_only_an_untried_fault_leads_to_is_no_finding() {
     assert_eq!(kinds(&asks("1", "abort \"late\";")), [Kind::Unreached]);
 }
 
-/// A task that waits in the middle of its work for a task that has ended is reported. A task that has done all that
-/// it was asked for, and waits for the next message, is not.
+/// A task that waits in the middle of its work for a task that has ended is reported. A task that has done all its work,
+/// and waits for the next message, is not reported.
 #[test]
 fn who_waits_for_ever_for_one_that_has_ended_is_told() {
     let told = |sends: &str, takes: &str, other: &str| {
@@ -333,7 +333,7 @@ fn who_waits_for_ever_for_one_that_has_ended_is_told() {
         );
         let verdicts = Text::new(&text).check();
         assert!(verdicts.is_complete(), "{text}");
-        // The statements behind an endless wait are never reached.
+        // The statements after an endless wait are never reached.
         assert!(
             verdicts.findings.iter().all(|found| found.kind == Kind::Unreached),
             "{:?}",
@@ -348,13 +348,13 @@ fn who_waits_for_ever_for_one_that_has_ended_is_told() {
     for other in ["", acts] {
         assert_eq!(told("send p();", twice, other), waits, "{other}");
         assert_eq!(told("send p();", once, other), [], "{other}");
-        // The loop says that the task expects two messages.
+        // The condition of the loop shows that the task expects two messages.
         assert_eq!(told("send p();", "while n < 2 do receive p(); reply(); n := n + 1; end;", other), waits);
         assert_eq!(
             told("send p(); send p();", "while n < 2 do receive p(); reply(); n := n + 1; end;", other),
             []
         );
-        // A task whose loop has no exit serves for ever. That it waits at the end is no finding in any form of the loop.
+        // A task whose loop has no `exit` serves for ever: its last wait is no finding in any form of the loop.
         for serves in [
             "while true do receive p(); reply(); end;",
             "loop if n > 0 then receive p(); reply(); else receive p(); reply(); n := 1; end; end;",
@@ -363,7 +363,7 @@ fn who_waits_for_ever_for_one_that_has_ended_is_told() {
         }
         let counts = "loop if n = 2 then exit; end; receive p(); reply(); n := n + 1; end;";
         assert_eq!(told("send p();", counts, other), waits);
-        // Both of these tasks are servers: one takes single messages, the other takes them in pairs.
+        // Both forms of this task are servers: one takes single messages, the other takes messages in pairs.
         assert_eq!(told("send p();", "loop receive p(); reply(); end;", other), []);
         assert_eq!(
             told("send p();", "loop n := 0; receive p(); reply(); run pick takes 5 msec; end;", other),
@@ -374,7 +374,7 @@ fn who_waits_for_ever_for_one_that_has_ended_is_told() {
     }
 }
 
-/// A standby that goes on, or that ends after its primary got the lease, leaves no primary waiting for ever.
+/// A standby that goes on, or that ends after its primary got the lease, does not leave its primary waiting for ever.
 #[test]
 fn a_primary_whose_standby_has_ended_is_told() {
     let told = |standby: &str| {

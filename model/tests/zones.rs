@@ -1,4 +1,4 @@
-//! The search by zones against the search at every tick: both must find and reach the same.
+//! Compares the search by zones with the search at every tick: both must find and reach the same.
 
 use crate::cells::{Text, within};
 use crate::guard::{dice, is_sound, number, random_cell, random_text};
@@ -12,13 +12,13 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Most states of a search at every tick: larger ones are left out.
+/// The greatest number of states of a search at every tick. Larger searches are left out.
 fn states() -> u64 {
     number("IMRS_STATES", 4_000)
 }
 
-/// Whether a finding is of tasks that wait for ever while others go on. The search at every tick looks for these in some states only,
-/// which depend on what it keeps; zones look in all.
+/// Whether a finding is about tasks that wait for ever while others go on. The search at every tick looks for such tasks
+/// only in some states, which depend on what it keeps. The search by zones looks in all states.
 fn waits(found: &Finding) -> bool {
     matches!(found.kind, Kind::Deadlock | Kind::WaitsForEver)
 }
@@ -73,7 +73,7 @@ fn stands_still(verdicts: &Verdicts) -> bool {
     verdicts.warnings.iter().any(|found| found.kind == Kind::Standstill)
 }
 
-/// How many searches were compared, and their states.
+/// How many searches were compared, and how many states they had.
 #[derive(Debug, Default)]
 struct Compared {
     cells: u64,
@@ -83,7 +83,8 @@ struct Compared {
     missed: u64,
     every: u64,
     zones: u64,
-    /// The states of the searches by zones that were made without reductions, too, and those of these.
+    /// For searches by zones that were also made without reductions: the number of states with reductions. The next field
+    /// has the number without.
     reduced: u64,
     plain: u64,
     /// Cells in which the times of three instants met in one.
@@ -108,7 +109,7 @@ impl Compared {
     }
 }
 
-/// Compares the verdicts of the search by zones and of the search at every tick; `None` if the latter takes
+/// Compares the verdicts of the search by zones and of the search at every tick; `None` if the search at every tick takes
 /// too many states.
 fn compare(name: &str, cell: &mut Text, states: u64) -> Option<Compared> {
     cell.plan.faults.retain(covered);
@@ -148,7 +149,8 @@ fn kept(verdicts: &Verdicts) -> u64 {
     verdicts.phases.iter().map(|phase| phase.states).sum()
 }
 
-/// Compares the verdict by zones with that of zones without reductions. Returns the states of both, or zeros if that takes too many.
+/// Compares the verdict by zones with the verdict by zones without reductions. Returns the numbers of states of both, or
+/// zeros if the search without reductions takes too many.
 fn compare_plain(name: &str, cell: &mut Text, zones: &Verdicts) -> (u64, u64) {
     cell.plan.everything = true;
     let plain = check_cell(&Arc::new(cell.plan.clone()));

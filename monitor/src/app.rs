@@ -1,4 +1,4 @@
-//! The state of the screen as a value. Every event is a [`Msg`], which [`App::update`] reduces.
+//! The state of the monitor's screen as one value. Every event is a [`Msg`], which [`App::update`] applies to this state.
 
 mod command;
 mod complete;
@@ -48,13 +48,13 @@ const MANY: usize = 2_000;
 /// An event for the app.
 #[derive(Clone, Debug)]
 pub enum Msg {
-    /// A source delivered something.
+    /// A node or a recording delivered frames.
     Feed(Arrival),
     /// A key was pressed.
     Key(KeyEvent),
     /// A mouse event.
     Mouse(MouseEvent),
-    /// The main loop shows this text on the bottom line.
+    /// The main loop wants this text on the bottom line.
     Told(String),
     /// The terminal has another size.
     Resize,
@@ -67,7 +67,7 @@ pub enum Msg {
 /// What the main loop must do after a message.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Effect {
-    /// Nothing: the screen is unchanged.
+    /// The main loop need not do anything: the screen is unchanged.
     Nothing,
     /// Draw a frame.
     Draw,
@@ -77,11 +77,11 @@ pub enum Effect {
     Write,
     /// Copy this text to the terminal's clipboard.
     Copy(String),
-    /// Attach to this node too.
+    /// Attach to this node in addition to the others.
     Connect(Endpoint),
-    /// Take the mouse, or leave it to the terminal.
+    /// Use the mouse, or leave it to the terminal.
     Mouse(bool),
-    /// Draw in the theme that was chosen, and remember it.
+    /// Draw in the theme that the user has chosen, and store the choice.
     Theme,
     /// Release the terminal until the user returns.
     Suspend,
@@ -89,64 +89,65 @@ pub enum Effect {
     Quit,
 }
 
-/// One end of a port.
+/// A port at one of its tasks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PortEnd {
     /// The incarnation of the node.
     pub incarnation: IncarnationId,
-    /// The task.
+    /// The task that has the port.
     pub task: TaskId,
-    /// The port.
+    /// The port of that task.
     pub port: PortId,
 }
 
-/// Everything that the screen depends on, except the time.
+/// The state of the screen: everything on which it depends, except the time.
 #[derive(Clone, Debug)]
 pub struct App {
     live: Store,
-    /// While paused: the store at the pause, and the moment of the pause.
+    /// While paused: the store at the moment of the pause, and that moment.
     frozen: Option<(Box<Store>, Moment)>,
-    /// While paused: the extent of the history before the pause.
+    /// While paused: which times before the pause the history covers.
     ribbon: Option<Ribbon>,
-    /// Recent arrivals.
+    /// The frames of the last minutes.
     history: History,
-    /// While paused and moved back in the history: the position in it.
+    /// While paused, if the user has moved back in the history: the position there.
     back: Option<Box<Player>>,
-    /// The recording shown instead of running nodes.
+    /// The recording that is shown instead of running nodes; `None` if running nodes are shown.
     replay: Option<Box<Player>>,
-    /// The file that the arrivals are recorded to.
+    /// The file to which the arriving frames are recorded.
     pub recording: Option<String>,
-    /// The screen shown.
+    /// The screen that is shown.
     pub screen: Screen,
-    /// The screen that `Esc` returns to.
+    /// The screen to which `Esc` returns.
     before: Screen,
-    /// The theme.
+    /// The theme in which the screen is drawn.
     pub theme: Theme,
-    /// The file that remembers the chosen theme.
+    /// The file in which the chosen theme is stored.
     pub remember: Option<PathBuf>,
-    /// The keys.
+    /// Which key has which action.
     pub keymap: Keymap,
-    /// The overview's columns that the user chose, in this order, as positions in a row of it. Empty: the terminal's width decides.
+    /// The overview's columns that the user chose, in this order, as positions in a row of it. If empty, the terminal's
+    /// width decides.
     pub columns: Vec<usize>,
     cell: Option<Name>,
     only: Option<String>,
-    /// The rows of the overview.
+    /// How the rows of the overview are sorted, folded and filtered.
     pub shape: Shape,
     selected: Option<Place>,
     port: Option<PortEnd>,
-    /// The first line shown on the screens that only scroll.
+    /// The number of the first shown line, on the screens that only scroll.
     pub scroll: usize,
-    /// The number of the last event shown, if the event screen does not follow.
+    /// The number of the last event shown, if the event screen does not follow new events.
     pub held: Option<u64>,
-    /// Whether routine events are shown too.
+    /// Whether the event screen also shows routine events.
     pub everything: bool,
     /// Whether the event screen leaves discards out.
     pub discards_hidden: bool,
-    /// The filter of the events.
+    /// The filter of the event screen.
     event_filter: String,
     /// The filter of the timeline.
     lane_filter: String,
-    /// The line that is typed: a filter or a command.
+    /// The line that the user types at present: a filter or a command.
     pub entry_line: Option<Entry>,
     /// The lines that were typed before.
     typed_before: Typed,
@@ -158,19 +159,19 @@ pub struct App {
     title: Option<&'static str>,
     /// The message whose history is shown.
     message: Option<MessageKey>,
-    /// The screen on which that message was selected.
+    /// The screen on which the user selected that message.
     chosen_on: Screen,
-    /// The selected message of the shown queue. It stays selected while other messages come and go.
+    /// The selected message of the shown queue. It stays selected while other messages enter and leave the queue.
     entry: Option<(TaskId, MessageId)>,
-    /// The selected row of the problems.
+    /// The selected row of the problems screen.
     problem: Option<ProblemKey>,
-    /// The code whose page is shown, and the screen on which it was chosen.
+    /// The code whose page is shown, and the screen on which the user chose it.
     explained: Option<&'static str>,
     explained_on: Screen,
-    /// The screen over which the settings are shown, and its position.
+    /// The screen over which the settings are shown, and the position on that screen.
     settings_over: (Screen, usize),
     lanes: Lanes,
-    /// The user's mark: moment and store to compare with.
+    /// The user's mark: a moment, and the store at that moment, with which counters are compared.
     mark: Option<Box<(Moment, Store)>>,
     /// Whether counters are shown relative to the mark.
     pub since_mark: bool,
@@ -187,7 +188,7 @@ pub struct App {
 }
 
 impl App {
-    /// The overview of an empty store. `only`: the one cell to show.
+    /// Makes the overview of an empty store. `only` is the one cell to show, if there is one.
     #[must_use]
     pub fn new(theme: Theme, only: Option<String>) -> Self {
         Self {
@@ -238,7 +239,7 @@ impl App {
         }
     }
 
-    /// The overview of a recording.
+    /// Makes the app show a recording.
     #[must_use]
     pub fn replaying(self, player: Player) -> Self {
         Self { replay: Some(Box::new(player)), ..self }
@@ -251,7 +252,7 @@ impl App {
         }
     }
 
-    /// The recording shown, if one is.
+    /// The recording that is shown; `None` if running nodes are shown.
     #[must_use]
     pub fn replay(&self) -> Option<&Player> {
         self.replay.as_deref()
@@ -263,7 +264,7 @@ impl App {
         self.back.as_deref()
     }
 
-    /// While paused: the extent of the history before the pause.
+    /// While paused: which times before the pause the history covers.
     #[must_use]
     pub const fn ribbon(&self) -> Option<&Ribbon> {
         self.ribbon.as_ref()
@@ -295,7 +296,7 @@ impl App {
         }
     }
 
-    /// The store that is shown: the live one, the one at the pause, or a position in a recording.
+    /// The store that is shown: that of the running nodes, the one at the pause, or that of a position in a recording.
     #[must_use]
     pub fn store(&self) -> &Store {
         if let Some(player) = self.replay.as_ref().or(self.back.as_ref()) {
@@ -304,7 +305,7 @@ impl App {
         self.frozen.as_ref().map_or(&self.live, |(store, _)| store)
     }
 
-    /// The live store, also while paused.
+    /// The store of the running nodes, also while paused.
     #[must_use]
     pub const fn live(&self) -> &Store {
         &self.live
@@ -325,7 +326,7 @@ impl App {
         self.frozen.as_ref().map(|(_, at)| *at)
     }
 
-    /// The shown cell: the selected one while it exists, otherwise the first.
+    /// The cell that is shown: the selected cell while it exists, otherwise the first one.
     #[must_use]
     pub fn cell(&self) -> Option<Name> {
         let cells = self.cells();
@@ -361,7 +362,7 @@ impl App {
                 self.live.apply(arrival);
                 // The screen stays on the cell that it shows, whichever cells appear later.
                 self.cell = self.cell.take().or_else(|| self.cell());
-                // With reduced motion the screen is redrawn with the countdowns, not with every frame of a node.
+                // With reduced motion, frames of nodes do not cause a redraw; the screen is redrawn with the countdowns.
                 if self.frozen.is_some() || self.reduced_motion { Effect::Nothing } else { Effect::Draw }
             }
             Msg::Told(text) => {

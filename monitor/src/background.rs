@@ -1,12 +1,12 @@
-//! Whether the background of the terminal is light: the terminal is asked (OSC 11).
+//! Asks the terminal whether its background is light (OSC 11).
 
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use std::time::Duration;
 use terminal_colorsaurus::{QueryOptions, ThemeMode, theme_mode};
 
-/// How long the answer may take. The first frame waits for it.
+/// How long the terminal's answer may take. The first frame waits for it.
 const WITHIN: Duration = Duration::from_millis(120);
-/// The most keys that an answer is read as.
+/// The greatest number of keys that are read as an answer.
 const LONGEST: usize = 40;
 
 /// Whether the terminal says that its background is light; `None` if it does not say.
@@ -19,15 +19,15 @@ pub fn is_light() -> Option<bool> {
     }
 }
 
-/// Drops an answer that came too late. It begins with an escape that crossterm does not know, so that crossterm reads it
-/// as keys: Alt and `]`, then `11;rgb:ffff/ffff/ffff`, then Alt and `\\` or Ctrl and `g`.
+/// Drops an answer of the terminal that came too late. Such an answer begins with an escape that crossterm does not know, so
+/// crossterm reads the answer as keys: Alt and `]`, then `11;rgb:ffff/ffff/ffff`, then Alt and `\\` or Ctrl and `g`.
 #[derive(Debug, Default)]
 pub struct LateAnswer {
     read: Option<usize>,
 }
 
 impl LateAnswer {
-    /// Whether a key is a part of an answer.
+    /// Whether a key is a part of a late answer.
     pub fn has(&mut self, key: &KeyEvent) -> bool {
         let alt = key.modifiers.contains(KeyModifiers::ALT);
         let ctrl = key.modifiers.contains(KeyModifiers::CONTROL);
@@ -76,11 +76,11 @@ mod tests {
         for c in "1q:r]".chars() {
             assert!(!late.has(&key(c, KeyModifiers::NONE)), "{c}");
         }
-        // Alt and a bracket alone: the key after it is the user's.
+        // The test presses only Alt and a bracket: the next key is the user's.
         assert!(late.has(&key(']', KeyModifiers::ALT)));
         assert!(!late.has(&key('r', KeyModifiers::NONE)));
         assert!(!late.has(&key('1', KeyModifiers::NONE)));
-        // No answer is as long as this.
+        // The test sends more keys than an answer can have.
         assert!(late.has(&key(']', KeyModifiers::ALT)));
         let dropped = (0..1_000).take_while(|_| late.has(&key('1', KeyModifiers::NONE))).count();
         assert!(dropped <= LONGEST + 1, "{dropped}");

@@ -10,7 +10,7 @@ use std::fmt;
 use std::marker::PhantomData;
 use std::str::FromStr;
 
-/// A text that was parsed.
+/// A value that was parsed from a text of the settings file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Checked<T>(pub T);
 
@@ -33,7 +33,7 @@ impl FromStr for FilterText {
     }
 }
 
-/// A colour: `#d55e00`, a number of the terminal's 256, or a name.
+/// A colour: `#d55e00`, a number of the terminal's 256 colours, or a name.
 struct Colour(Color);
 
 impl FromStr for Colour {

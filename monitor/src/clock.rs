@@ -1,4 +1,5 @@
-//! The monitor's clock: the time since its start. Only the main loop reads it; everything else gets the time as an argument.
+//! The monitor's clock: the time since its start. Only the main loop reads this clock; all other code gets the time as
+//! an argument.
 
 use std::fmt;
 use std::time::{Duration, Instant};

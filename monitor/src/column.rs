@@ -2,16 +2,16 @@
 
 use std::str::FromStr;
 
-/// The names of the columns beside the first, in the order of the cells of a row.
+/// The names of the columns after the first one, in the order of the cells of a row.
 pub const NAMES: [&str; 10] =
     ["state", "queue", "slack", "rate", "expired", "overflow", "rejected", "resent", "timed_out", "health"];
 
-/// A column beside the names: the index of its cell in a row of the overview.
+/// A column after the first one: the index of its cell in a row of the overview.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OverviewColumn(usize);
 
 impl OverviewColumn {
-    /// The index of its cell; the names have 0.
+    /// The index of the column's cell; index 0 is the first column, which has the names.
     #[must_use]
     pub const fn cell(self) -> usize {
         self.0

@@ -13,10 +13,10 @@ use std::io;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
-/// An example file: every key with its meaning, commented out.
+/// An example of the file: every key with its meaning, commented out.
 pub const EXAMPLE: &str = include_str!("config.toml");
 
-/// Longest accepted file, in bytes.
+/// The greatest accepted length of the file, in bytes.
 const LONGEST: u64 = 1 << 20;
 
 /// The contents of the file. An unknown key is an error, so that a typing error is noticed. Each value is checked while
@@ -56,26 +56,26 @@ pub struct Config {
 /// Why the file cannot be used.
 #[derive(Debug, Error)]
 pub enum ConfigError {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("{path}: {source}")]
     Io {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
-        /// Why.
+        /// The reason, as an error.
         source: FileError,
     },
-    /// Its contents are wrong.
+    /// The contents of the file are wrong.
     #[error("{path}: {what}")]
     Wrong {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
-        /// The place and the reason.
+        /// The place in the file, and the reason.
         what: String,
     },
 }
 
 impl Config {
-    /// Reads the file `named`, or otherwise the user's file if it exists. `var` returns environment variables.
+    /// Reads the file `named` or, without it, the user's own file if it exists. `var` returns environment variables.
     ///
     /// # Errors
     /// [`ConfigError`]. A missing file is an error only if it was named.
@@ -90,10 +90,10 @@ impl Config {
         }
     }
 
-    /// Reads the text of the file.
+    /// Reads the settings from the text of a file.
     ///
     /// # Errors
-    /// The place and the reason of an error.
+    /// The place of the error in the text, and the reason.
     pub fn parse(text: &str) -> Result<Self, String> {
         toml::from_str(text).map_err(|error| error.to_string().trim_end().to_owned())
     }
@@ -119,7 +119,7 @@ pub fn place(var: impl Fn(&str) -> Option<String>) -> Option<PathBuf> {
     Some(base.join("imrs/monitor.toml"))
 }
 
-/// The file that remembers the chosen theme: `$XDG_STATE_HOME/imrs/monitor-theme`.
+/// The path of the file in which the chosen theme is stored: `$XDG_STATE_HOME/imrs/monitor-theme`.
 #[must_use]
 pub fn memory(var: impl Fn(&str) -> Option<String>) -> Option<PathBuf> {
     Some(state_folder(var)?.join("monitor-theme"))
@@ -137,16 +137,16 @@ fn state_folder(var: impl Fn(&str) -> Option<String>) -> Option<PathBuf> {
     Some(base.join("imrs"))
 }
 
-/// The theme in such a file. A file without a theme counts as none.
+/// Reads the theme in the file at [`memory`]'s path; `None` if the file has no valid theme.
 #[must_use]
 pub fn remembered(path: &Path) -> Option<Theme> {
     Theme::named(files::text(path, 64).ok()?.trim())
 }
 
-/// Writes the name of a theme into such a file.
+/// Writes the name of a theme into the file at [`memory`]'s path.
 ///
 /// # Errors
-/// That of the file or its folder.
+/// The error of the file or of its folder.
 pub fn remember(path: &Path, theme: &Theme) -> io::Result<()> {
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder)?;
@@ -187,7 +187,7 @@ mod tests {
     #[test]
     fn what_is_wrong_is_told_with_its_place() {
         let wrong = |text: &str| Config::parse(text).unwrap_err();
-        // Of a list, the line is that of its beginning.
+        // For an error in a list, the line is the one on which the list begins.
         let cases = [
             ("theme = \"mono\"\ncolour = 3\n", 2, "unknown field `colour`"),
             ("\n\ntheme = \"pink\"", 3, "there are colour"),

@@ -5,16 +5,16 @@
 pub enum Verdict {
     /// Not known: the node does not record, or a part of its recording is missing.
     Unknown {
-        /// Why.
+        /// The reason, as text.
         why: String,
     },
     /// Every step so far conforms to the state machine.
     Conforms,
     /// A step does not conform.
     Violates {
-        /// The step, counted from zero.
+        /// The number of the step, counted from zero.
         step: u64,
-        /// The difference.
+        /// The difference from the state machine, as text.
         what: String,
     },
 }
@@ -29,7 +29,7 @@ pub struct Conformance {
 }
 
 impl Conformance {
-    /// A verdict of unknown, with its reason.
+    /// The verdict that the conformance is unknown, with its reason.
     #[must_use]
     pub fn unknown(why: &str) -> Self {
         Self { verdict: Verdict::Unknown { why: why.into() }, steps: 0 }

@@ -1,4 +1,4 @@
-//! The layout of a drawn frame: where a click leads, and how much of a list fitted.
+//! The layout of a drawn frame: what a click selects, and how much of a list had room.
 
 use crate::keys::Action;
 use crate::problems::ProblemKey;
@@ -15,17 +15,17 @@ pub enum Hit {
     Tab(Screen),
     /// A row of the overview.
     Row(Place),
-    /// The banner: the place of what blocks the cell.
+    /// The banner: the place that blocks the cell most.
     Place(Place),
     /// The title of a sortable column.
     Title(Sort, &'static str),
-    /// A place of the scrub bar, in the unit of its ribbon.
+    /// A position of the scrub bar, in microseconds or steps.
     Scrub(u64),
-    /// A row of the problems.
+    /// A row of the problems screen.
     Problem(ProblemKey),
-    /// A line of the list.
+    /// A line of the screen's list.
     Line(usize),
-    /// The same, by the scrollbar.
+    /// A line of the screen's list, chosen by a click on the scrollbar.
     Scroll(usize),
     /// A lane of the timeline.
     Lane(TaskId),
@@ -52,13 +52,13 @@ impl Hit {
 pub struct Drawn {
     /// The screen that was drawn.
     pub screen: Screen,
-    /// The rows of its list that fitted.
+    /// How many rows of the screen's list had room.
     pub page: usize,
-    /// All lines of its list.
+    /// How many lines the screen's list has.
     pub lines: usize,
     /// How many lanes of the timeline had room.
     pub lanes: usize,
-    /// For each line of a list whose lines are about places: the place.
+    /// If the lines of the list are about places: the place of each line.
     pub places: Vec<Option<Place>>,
     pub(crate) hits: Vec<(Rect, Hit)>,
 }
@@ -100,7 +100,7 @@ impl Drawn {
         self.hits.clear();
     }
 
-    /// Makes an area of the terminal a target.
+    /// Makes an area of the terminal a target of clicks.
     pub(crate) fn target(&mut self, area: Rect, hit: Hit) {
         self.hits.push((area, hit));
     }

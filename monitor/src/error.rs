@@ -8,18 +8,18 @@ use thiserror::Error;
 /// An error with which the monitor ends.
 #[derive(Debug, Error)]
 pub enum MonitorError {
-    /// No node was found, or none of the named ones answered.
+    /// The monitor found no node, or none of the named nodes answered.
     #[error("no running node found{}", reasons(.looked, .failed))]
     NothingFound {
-        /// The folder that was searched, unless endpoints were named.
+        /// The folder that was searched; `None` if the user named the addresses of nodes.
         looked: Option<PathBuf>,
-        /// The failed attempts.
+        /// The failed attempts, one text each.
         failed: Vec<String>,
     },
     /// Nodes run, but of other cells.
     #[error("no node of cell `{}` runs; there are nodes of {}", crate::name::shown(.name), .cells.join(", "))]
     NoSuchCell {
-        /// The wanted cell.
+        /// The cell that the user named.
         name: String,
         /// The cells whose nodes run.
         cells: Vec<String>,
@@ -30,9 +30,9 @@ pub enum MonitorError {
     /// A recording cannot be read or written.
     #[error("{}: {why}", crate::name::shown_line(&.path.display().to_string()))]
     Recording {
-        /// The file.
+        /// The path of the recording.
         path: PathBuf,
-        /// Why.
+        /// The reason, as text.
         why: String,
     },
     /// The terminal failed, or standard output did.
@@ -47,7 +47,8 @@ pub enum MonitorError {
 }
 
 impl MonitorError {
-    /// The exit code of a command that ends with this error: 3 nothing to attach to, 2 bad input, 70 internal fault.
+    /// The exit code of a command that ends with this error: 3 if there is nothing to attach to, 2 for bad input, 70
+    /// for an internal fault.
     #[must_use]
     pub const fn exit_code(&self) -> u8 {
         match self {

@@ -1,8 +1,8 @@
-//! The recent arrivals in memory. While the screen is paused, the user can move back in the present run as in a
-//! recording.
+//! The recently arrived frames, kept in memory. While the screen is paused, the user can move back in the present run
+//! as in a recording.
 //!
 //! Arrivals are kept in segments (reels) of half a minute. Each segment begins with the state of all nodes, so the
-//! oldest one can be dropped at any time. So the memory is bounded, whatever arrives.
+//! oldest segment can be dropped at any time. So the memory is bounded, however much arrives.
 
 use crate::clock::Moment;
 use crate::replay::{Film, Reel, is_odd};
@@ -16,19 +16,19 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// The memory limit, in bytes. Of a busy cell the history is shorter.
+/// The greatest memory of the history, in bytes. If a cell sends much, the history covers less time.
 pub const BUDGET: usize = 46 << 20;
-/// The length of a segment.
+/// How much time a segment of the history covers.
 const REEL: Duration = Duration::from_secs(30);
-/// How many incarnations of nodes are remembered, ended ones included.
+/// The greatest number of incarnations of nodes that the history keeps, ended ones included.
 const INCARNATIONS: usize = 256;
 
-/// The recent arrivals.
+/// The recently arrived frames, in segments.
 #[derive(Clone, Debug, Default)]
 pub struct History {
     closed: VecDeque<Piece>,
     open: Piece,
-    /// All incarnations ever attached, in the order of attachment: a replay attaches them in the same order.
+    /// All incarnations that were attached so far, in the order of attachment: a replay attaches them in this order.
     known: Vec<Known>,
     /// The memory of the closed segments, in bytes.
     weight: usize,
@@ -37,9 +37,9 @@ pub struct History {
 
 #[derive(Clone, Debug, Default)]
 struct Piece {
-    /// The state of all nodes at its start.
+    /// The state of all nodes at the start of the segment.
     opening: Arc<Reel>,
-    /// The arrivals after that.
+    /// The arrivals of the segment, after that state.
     reel: Arc<Reel>,
     last: Moment,
 }
@@ -62,7 +62,7 @@ struct Known {
 }
 
 impl History {
-    /// Adds what a source delivered. `before` is the store before that.
+    /// Adds an arrival from a source. `before` is the store before that arrival.
     pub fn take(&mut self, arrival: &Arrival, before: &Store) {
         self.verdicts.take(arrival);
         let Arrival { at, source, feed } = arrival;
@@ -93,14 +93,14 @@ impl History {
         };
         self.open.last = *at;
         Arc::make_mut(&mut self.open.reel).put(*at, number, odd, &bytes);
-        // Close a large segment early, so that dropping one loses a small part.
+        // A large segment is closed early, so that dropping a segment loses only a small part of the history.
         if self.open.reel.weight() >= BUDGET / 16 {
             self.close();
         }
         self.forget(*at);
     }
 
-    /// The history as a film; `None` if nothing has arrived.
+    /// The history as a recording that can be shown; `None` if nothing has arrived.
     #[must_use]
     pub fn film(&self) -> Option<Film> {
         let open = Some(&self.open).filter(|open| open.reel.began().is_some());
@@ -111,12 +111,12 @@ impl History {
         Some(Film::of(cell, Arc::clone(&first.opening), reels))
     }
 
-    /// The latest verdict on each incarnation at a moment.
+    /// For each incarnation, the latest verdict of the validator before a moment.
     pub fn verdicts(&self, moment: Moment) -> impl Iterator<Item = Arrival> {
         self.verdicts.at(moment)
     }
 
-    /// The memory that it takes, in bytes.
+    /// The memory that the history takes, in bytes.
     #[must_use]
     pub fn weight(&self) -> usize {
         self.weight + self.open.weight()
@@ -146,12 +146,12 @@ impl History {
         bytes
     }
 
-    /// The incarnation to which a source is attached.
+    /// The incarnation to which a source is attached at present.
     fn present(&mut self, source: SourceId) -> Option<&mut Known> {
         self.known.iter_mut().rfind(|known| known.source == source)
     }
 
-    /// Starts a segment.
+    /// Ends the present segment of the history, and starts the next one.
     fn turn(&mut self, at: Moment, before: &Store) {
         self.close();
         let mut opening = Reel::default();

@@ -1,5 +1,5 @@
-//! Checks whether running nodes behave as verified. A validator, which the command provides, replays the recordings
-//! that nodes write of their inputs. The monitor itself contains no state machine.
+//! Checks whether running nodes behave as verified. A validator, which the command provides, replays the recordings in
+//! which nodes write their inputs. The monitor itself contains no state machine.
 
 use crate::source::{Feed, Sink, SourceId};
 use crate::store::conformance::Conformance;
@@ -12,21 +12,21 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-/// The pause between two passes over the recordings, unless a pass did not reach the end of one.
+/// The pause between two passes over all recordings, unless a pass did not reach the end of a recording.
 const PAUSE: Duration = Duration::from_millis(500);
-/// The most recordings that are judged.
+/// The greatest number of recordings that are judged.
 const RECORDINGS: usize = 64;
 
 /// The result for one recording.
 #[derive(Clone, Debug)]
 pub struct Judgement {
-    /// The name of the cell.
+    /// The name of the recorded cell.
     pub cell: String,
-    /// The node.
+    /// The name of the recorded node.
     pub node: String,
     /// The node's incarnation.
     pub incarnation: u8,
-    /// The verdict.
+    /// The verdict on the recording.
     pub said: Conformance,
     /// Whether the recording has records that this pass did not reach.
     pub behind: bool,
@@ -38,30 +38,30 @@ pub trait Judge: Send + Sync + fmt::Debug {
     fn sit(&self) -> Box<dyn FollowSession + '_>;
 }
 
-/// A session that follows recordings while they grow.
+/// A session that judges recordings while they grow.
 pub trait FollowSession {
-    /// Judges a recording, continuing after the last call. Returns `None` if the recording does not name its node. A
-    /// call takes less than a second; the next one continues.
+    /// Judges the records of a recording that were added since the last call. Returns `None` if the recording does not
+    /// name its node. A call takes less than a second; the next call continues where it ended.
     fn look(&mut self, recording: &Path) -> Option<Judgement>;
 }
 
-/// The conformance worker: judges, in its own thread, the recordings that nodes announce.
+/// The conformance worker: a thread that judges the recordings that nodes announce.
 #[derive(Clone)]
 pub(crate) struct ConformanceWorker {
     told: Arc<Mutex<BTreeSet<PathBuf>>>,
-    /// Dropped with the last clone, which ends the thread.
+    /// Ends the thread: it is dropped with the last clone of this worker.
     _open: Option<SyncSender<()>>,
 }
 
 impl ConformanceWorker {
-    /// Starts the worker, which delivers its results to `sink`. Without a judge it does nothing.
+    /// Starts the worker, which delivers its results to `sink`. Without a judge no worker is started.
     pub fn open(judge: Option<Arc<dyn Judge>>, sink: Sink) -> Self {
         let told = Arc::new(Mutex::new(BTreeSet::new()));
         let open = judge.and_then(|judge| {
             let (open, ended) = sync_channel(0);
             let recordings = Arc::clone(&told);
             let sit = move || sit(judge.as_ref(), &recordings, &sink, &ended);
-            // If no thread can be started, nothing is judged, and the screen says so.
+            // If no thread can be started, no recording is judged, and the screen says so.
             thread::Builder::new().name("imrs-judge".into()).spawn(sit).ok().map(|_| open)
         });
         Self { told, _open: open }
@@ -93,7 +93,7 @@ fn sit(judge: &dyn Judge, told: &Mutex<BTreeSet<PathBuf>>, sink: &Sink, ended: &
                 pause = Duration::ZERO;
             }
             let feed = Feed::Judged { cell, node, incarnation, said: Box::new(said) };
-            // No source sends this, because the result itself names its node.
+            // No source has this number: the result itself names its node.
             if !sink.deliver(SourceId(u32::MAX), feed) {
                 return;
             }

@@ -1,4 +1,4 @@
-//! The user's own keys: which keys an action has instead of those of the table, and the names of actions and keys in the
+//! The user's own keys: which keys an action has in place of the usual ones. Also the names of actions and keys in the
 //! settings file.
 
 use crate::keys::{Action, BINDINGS, Binding, Key, hinted};
@@ -6,7 +6,7 @@ use crate::screen::Screen;
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use std::str::FromStr;
 
-/// The keys of all actions.
+/// Which keys each action has.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Keymap {
     own: Vec<(Action, Vec<Key>)>,
@@ -16,10 +16,10 @@ pub struct Keymap {
 const ALWAYS: Key = Key { code: KeyCode::Char('c'), ctrl: true };
 
 impl Keymap {
-    /// The table with other keys for some actions.
+    /// The usual keys, with other keys for some actions.
     ///
     /// # Errors
-    /// A key for two actions that apply on the same screen.
+    /// An error if a key has two actions that apply on the same screen.
     pub fn of(own: Vec<(Action, Vec<Key>)>) -> Result<Self, String> {
         for (at, (action, keys)) in own.iter().enumerate() {
             for (other, others) in &own[..at] {
@@ -33,7 +33,7 @@ impl Keymap {
         Ok(Self { own })
     }
 
-    /// The action of `event` on `screen`. The user's own keys go first.
+    /// The action that the key press `event` has on `screen`. The user's own keys take precedence.
     #[must_use]
     pub fn action(&self, event: &KeyEvent, screen: Screen) -> Option<Action> {
         let pressed = Key { code: event.code, ctrl: event.modifiers.contains(KeyModifiers::CONTROL) };
@@ -55,14 +55,14 @@ impl Keymap {
         own.map_or(binding.keys, |(_, keys)| keys)
     }
 
-    /// The keys of a binding, as the help shows them.
+    /// The keys of a binding, in the form in which the help shows them.
     #[must_use]
     pub fn label(&self, binding: &Binding) -> String {
         let names: Vec<_> = self.keys(binding).iter().map(|key| key.label()).collect();
         names.join(" ")
     }
 
-    /// The key hints of a screen, the help first: `? help`, `Enter open`, each with its action.
+    /// The hints at keys for a screen, the help first: `? help`, `Enter open`, each with its action.
     pub fn hints(&self, screen: Screen) -> impl Iterator<Item = (String, Action)> + '_ {
         let help = [(Action::Show(Screen::Help), "help")];
         let all = help.into_iter().chain(hinted(screen).iter().copied()).chain([(Action::Quit, "quit")]);
@@ -70,7 +70,7 @@ impl Keymap {
             let binding =
                 BINDINGS.iter().find(|binding| binding.action == action && binding.is_on(screen))?;
             let keys = self.keys(binding);
-            // A special key says more than a letter that does the same.
+            // A special key such as Enter is easier to understand than a letter with the same action.
             let is_letter = |key: &Key| matches!(key.code, KeyCode::Char('a'..='z'));
             let key = keys.iter().find(|key| !is_letter(key)).or_else(|| keys.first())?;
             let key = if action == Action::Quit { keys.first()? } else { key };
@@ -79,7 +79,7 @@ impl Keymap {
     }
 }
 
-/// Whether two actions apply on the same screen.
+/// Whether there is a screen on which both actions apply.
 fn meet(a: Action, b: Action) -> bool {
     let on = |action: Action, screen: Screen| BINDINGS.iter().any(|b| b.action == action && b.is_on(screen));
     a != b && Screen::ALL.into_iter().any(|screen| on(a, screen) && on(b, screen))
@@ -250,7 +250,7 @@ mod tests {
             assert_eq!(map.action(&p, screen), Some(Action::Pause));
             assert_eq!(map.action(&space, screen), None);
         }
-        // A key that the user takes for one action is no longer that of another.
+        // A key that the user gives to one action loses its usual action.
         let map = Keymap::of(vec![(Action::Pause, vec!["q".parse().unwrap()])]).unwrap();
         let q = press(KeyCode::Char('q'), KeyModifiers::NONE);
         assert_eq!(map.action(&q, Screen::Overview), Some(Action::Pause));
@@ -264,7 +264,7 @@ mod tests {
         let p = || vec!["p".parse::<Key>().unwrap()];
         let both = Keymap::of(vec![(Action::Pause, p()), (Action::Theme, p())]);
         assert_eq!(both, Err("`p` cannot be both `pause` and `theme`".to_owned()));
-        // These two never apply on the same screen.
+        // These two actions never apply on the same screen.
         assert!(Keymap::of(vec![(Action::Cycles, p()), (Action::Sort, p())]).is_ok());
     }
 }

@@ -1,4 +1,4 @@
-//! The key bindings, in one table: input handling and help use the same entries, so they cannot differ.
+//! The key bindings, in one table. Input handling and help use the same entries, so they cannot differ.
 
 use crate::screen::Screen;
 use crossterm::event::KeyCode;
@@ -8,21 +8,21 @@ use crossterm::event::KeyCode;
 pub enum Action {
     /// Shows a screen.
     Show(Screen),
-    /// One row up.
+    /// Selects the row above.
     Up,
-    /// One row down.
+    /// Selects the row below.
     Down,
-    /// One page up.
+    /// Moves one page up.
     PageUp,
-    /// One page down.
+    /// Moves one page down.
     PageDown,
-    /// To the first row.
+    /// Selects the first row.
     First,
-    /// To the last row, and follow it.
+    /// Selects the last row, and follows later ones.
     Last,
-    /// Hides the children, or goes to the parent; to the previous port.
+    /// Hides the rows within the selected one, or selects its parent; on the screen of a port, shows the previous port.
     Left,
-    /// Shows the children; to the next port.
+    /// Shows the rows within the selected one; on the screen of a port, shows the next port.
     Right,
     /// Selects the next title of a column or figure, and explains it.
     NextTitle,
@@ -30,35 +30,35 @@ pub enum Action {
     PreviousTitle,
     /// Opens the selected row.
     Enter,
-    /// Goes back, clears the filter.
+    /// Returns to the previous screen, or clears the filter.
     Back,
     /// Opens the filter input.
     Filter,
-    /// The next sort order of rows.
+    /// Sorts the rows by the next of the sort orders.
     Sort,
     /// Inverts the sort order.
     Invert,
     /// Pauses or resumes the screen.
     Pause,
-    /// Shows routine events too.
+    /// Shows routine events, too, or hides them.
     Everything,
-    /// Leaves discards out of the events.
+    /// Hides discards from the events, or shows them.
     Discards,
-    /// The next critical event.
+    /// Selects the next critical event.
     NextError,
-    /// The previous critical event.
+    /// Selects the previous critical event.
     PreviousError,
-    /// The beginning of a recording, or while paused of the history; elsewhere the first row.
+    /// Shows the beginning of a recording or, while paused, of the history; on other screens selects the first row.
     Oldest,
-    /// The end of a recording; elsewhere the last row.
+    /// Shows the end of a recording; on other screens selects the last row.
     Newest,
-    /// Back to the previous stop: an instant of the recording at which something changed.
+    /// Moves back to the previous stop: an instant of the recording at which something changed.
     StepBack,
-    /// On to the next stop of the recording.
+    /// Moves on to the next stop of the recording.
     StepOn,
-    /// Back to the previous stop of the recording that has an anomaly.
+    /// Moves back to the previous stop of the recording that has an anomaly.
     PreviousAnomaly,
-    /// On to the next stop of the recording that has an anomaly.
+    /// Moves on to the next stop of the recording that has an anomaly.
     NextAnomaly,
     /// Starts or ends a recording.
     Record,
@@ -68,42 +68,42 @@ pub enum Action {
     Copy,
     /// Opens the command input.
     Command,
-    /// Sets a mark to compare with.
+    /// Sets a mark, with which counters can be compared.
     Mark,
-    /// Shows counters since the mark, or since the start.
+    /// Shows counters since the user's mark, or since the start.
     Difference,
-    /// Shows only wait-for cycles.
+    /// Shows only wait-for cycles, or all waits.
     Cycles,
     /// Zooms in: less time per row.
     Closer,
     /// Zooms out: more time per row.
     Wider,
-    /// The next row that matches the filter, or has a finding.
+    /// Selects the next row that matches the filter, or has a finding.
     NextMatch,
-    /// The previous such row.
+    /// Selects the previous row that matches the filter, or has a finding.
     PreviousMatch,
-    /// The next cell.
+    /// Shows the next cell.
     Cell,
     /// Shows the page about a finding's code.
     Explain,
-    /// Goes to what blocks the cell.
+    /// Selects the place that blocks the cell most.
     Culprit,
     /// Shows the settings, or closes them.
     Settings,
-    /// The next theme.
+    /// Draws the screen in the next theme.
     Theme,
-    /// Suspends the monitor until `fg`.
+    /// Suspends the monitor until the shell's `fg`.
     Suspend,
     /// Ends the monitor.
     Quit,
 }
 
-/// A key.
+/// A key, with or without Ctrl.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Key {
-    /// The key itself.
+    /// The key itself, without Ctrl.
     pub code: KeyCode,
-    /// Whether Ctrl is held.
+    /// Whether Ctrl is held down.
     pub ctrl: bool,
 }
 
@@ -119,16 +119,16 @@ const fn code(code: KeyCode) -> Key {
     Key { code, ctrl: false }
 }
 
-/// A key binding.
+/// A key binding: keys and their action.
 #[derive(Clone, Copy, Debug)]
 pub struct Binding {
-    /// The keys, any of which triggers the action.
+    /// The keys. Each of them triggers the action.
     pub keys: &'static [Key],
-    /// The action.
+    /// The action of these keys.
     pub action: Action,
-    /// The help text.
+    /// The text about the action on the help screen.
     pub help: &'static str,
-    /// The screens on which it applies; empty for all.
+    /// The screens on which the binding applies; if empty, all.
     pub on: &'static [Screen],
 }
 
@@ -140,10 +140,10 @@ const fn on(on: &'static [Screen], keys: &'static [Key], action: Action, help: &
     Binding { keys, action, help, on }
 }
 
-/// The screens that the filter acts on.
+/// The screens that have a filter.
 pub const FILTERED: &[Screen] = &[Screen::Overview, Screen::Events, Screen::Timeline];
 
-/// All key bindings. The first one that matches applies.
+/// All key bindings. The first binding that matches applies.
 pub const BINDINGS: &[Binding] = &[
     everywhere(&[key('1')], Action::Show(Screen::Overview), "overview: nodes, tasks, ports"),
     everywhere(&[key('2')], Action::Show(Screen::Port), "one port's queue in the order of service"),
@@ -307,7 +307,7 @@ impl Binding {
 }
 
 impl Key {
-    /// Its name, as the help shows it.
+    /// The name of the key, as the help shows it.
     #[must_use]
     pub fn label(self) -> String {
         let name = match self.code {

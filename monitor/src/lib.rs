@@ -1,10 +1,10 @@
-//! The monitor: a terminal dashboard on running nodes. It must be correct, readable at a glance, and must never disturb
+//! The monitor: a terminal dashboard for running nodes. It must be correct, be readable at a glance, and never disturb
 //! the nodes.
 //!
 //! A [`source`] speaks `imrs-obs` with nodes in its own threads and feeds a [`store`]. The store keeps the state of
-//! every node, the last state of dead ones, and the events. An [`app`] is the screen as a value: [`app::App::update`]
-//! reduces messages, and [`view::view`] draws. Store, app and view read no clock and no file; time is always an
-//! argument. The thread that draws does no other work. Only the outermost layer ([`run`]) uses a terminal.
+//! every node, the last state of dead nodes, and the events. An [`app`] is the screen as a value: [`app::App::update`]
+//! applies messages to it, and [`view::view`] draws it. Store, app and view read no clock and no file; time is always
+//! an argument. The thread that draws does no other work. Only the outermost layer ([`run`]) uses a terminal.
 //!
 //! Pausing, filtering and sorting happen only in the monitor: no user action changes what a node does.
 #![forbid(unsafe_code)]
@@ -62,10 +62,10 @@ use std::io::{self, IsTerminal, Write};
 use std::sync::Arc;
 use theme::Theme;
 
-/// The file that the record key writes if the user named none.
+/// The file that the record key writes if the user gave no name.
 const RECORDING: &str = "monitor.imrs";
 
-/// Runs the monitor with these options: on the screen of a terminal, or as printed output without one.
+/// Runs the monitor with these options: on the screen of a terminal or, without a terminal, as printed output.
 ///
 /// # Errors
 /// [`MonitorError`], which has the exit code of the command.
@@ -88,7 +88,7 @@ pub fn run(options: &Options) -> Result<Verdict, MonitorError> {
         return replay_on_screen(options, player);
     }
     if !screen || printed {
-        // Without a terminal no key could end a screen, so print one sample unless the options ask for more.
+        // Without a terminal no key could end a screen. So one sample is printed, unless the options ask for more.
         let once = options.once || !printed;
         return print(&Options { once, ..options.clone() }, &mut io::stdout().lock());
     }
@@ -134,14 +134,14 @@ fn replay_on_screen(options: &Options, mut player: Player) -> Result<Verdict, Mo
     Ok(Verdict::Healthy)
 }
 
-/// The initial screen for these options.
+/// The screen's state at the start, for these options.
 fn app(options: &Options, theme: Theme) -> app::App {
     let theme = options.theme.unwrap_or(theme).with(options.palette);
     let mut app = app::App::new(theme, options.cell.clone());
     app.keymap = options.keys.clone();
     app.columns = options.columns.iter().map(|column| column.cell()).collect();
     app.token = options.token.clone();
-    // A theme that is given each time needs no memory.
+    // If the user gives a theme in each run, the monitor need not store it.
     app.remember = options.remember.clone().filter(|_| options.theme.is_none());
     if let Some(path) = &options.lines {
         match typed::load(path) {
@@ -158,7 +158,7 @@ fn app(options: &Options, theme: Theme) -> app::App {
     app
 }
 
-/// Prints the output that `options` ask for to `out`, without a screen.
+/// Prints to `out` the output for which `options` ask, without a screen.
 ///
 /// # Errors
 /// [`MonitorError`]. A reader that closes the pipe is no error.
@@ -166,7 +166,7 @@ pub fn print(options: &Options, out: &mut impl Write) -> Result<Verdict, Monitor
     plain::print(options, which(options), Clock::start(), out)
 }
 
-/// A source for the nodes that `options` name, with the wishes of `tape`.
+/// A source for the nodes that `options` name, with the subscription of the recorder `tape`.
 fn live(options: &Options, which: Which, tape: &Tape) -> Live {
     Live::new(which).with_token(options.token.clone()).with_wishes(tape.wishes())
 }
@@ -179,21 +179,22 @@ fn which(options: &Options) -> Which {
     }
 }
 
-/// The theme to begin with: the one that was chosen last, if the terminal can show it, otherwise the one that fits.
+/// The theme at the start: the one that the user chose last, if the terminal can show it, otherwise the one that suits
+/// the terminal.
 fn first_theme(options: &Options) -> Theme {
     let var = |name: &str| std::env::var(name).ok();
     if let Some(theme) = options.theme {
         return theme;
     }
     let chosen = options.remember.as_deref().and_then(config::remembered);
-    // With a remembered theme the answer of the terminal would change nothing.
+    // If there is a stored theme, the answer of the terminal would change nothing.
     let ask = || if chosen.is_some() { None } else { background::is_light() };
     let fitting = theme_for(options, var, ask);
     chosen.filter(|chosen| chosen.needs_no_more_than(&fitting)).unwrap_or(fitting)
 }
 
 /// The theme for the options and the environment variables that `var` returns. `is_light` asks the terminal for its
-/// background; it is only asked if the answer matters.
+/// background, and is called only if the answer matters.
 fn theme_for(
     options: &Options,
     var: impl Fn(&str) -> Option<String>,
@@ -210,7 +211,8 @@ fn theme_for(
     let locale = set("LC_ALL").or_else(|| set("LC_CTYPE")).or_else(|| set("LANG")).unwrap_or_default();
     let locale = locale.to_lowercase();
     let utf8 = locale.contains("utf-8") || locale.contains("utf8");
-    // Some terminals name their colours of text and background, by their numbers among the first sixteen: `15;0`.
+    // Some terminals give the colours of their text and background in this variable, as numbers among the first sixteen
+    // colours: `15;0`.
     let background = set("COLORFGBG").and_then(|colours| colours.rsplit(';').next()?.parse::<u8>().ok());
     let utf8 = utf8 && !options.ascii && !dumb;
     let light = match background {
@@ -248,7 +250,7 @@ mod tests {
             assert_eq!(theme(&auto, &[utf8[0], utf8[1], ("COLORFGBG", colours)]), fits, "{colours}");
         }
         assert_eq!(theme(&auto, &[utf8[0], ("COLORFGBG", "0;15")]), Theme::ASCII);
-        // The terminal is asked only if no variable tells, and if the answer matters.
+        // The terminal is asked only if no variable gives its background, and if the answer matters.
         let asked = |options: &Options, vars: &[(&str, &str)], says| {
             let var = |name: &str| vars.iter().find(|(n, _)| *n == name).map(|(_, v)| (*v).to_owned());
             let mut is_asked = false;

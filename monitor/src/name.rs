@@ -1,4 +1,4 @@
-//! Names received from nodes. They are escaped, so that showing one never moves the cursor, changes a colour or
+//! Names received from nodes. They are escaped, so that showing a name never moves the cursor, changes a colour or
 //! reverses a line.
 
 use imrs_wire::text::acts;
@@ -10,7 +10,7 @@ const LONGEST: usize = 64;
 /// The longest shown line, in characters.
 const LONGEST_LINE: usize = 240;
 
-/// A name, as received and as shown.
+/// A name, in the form received and in the form shown.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Name {
     raw: Arc<str>,
@@ -73,7 +73,7 @@ fn cut(text: &str, longest: usize) -> String {
     out
 }
 
-/// What an error says of a name that does not exist: the nearest one, or all.
+/// The text of an error about a name that does not exist. It suggests the nearest name, or lists all names.
 #[must_use]
 pub fn unknown(what: &str, name: &str, names: &[&str]) -> String {
     let written = shown(name);

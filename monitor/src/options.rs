@@ -17,13 +17,13 @@ use thiserror::Error;
 /// The address at which a node serves monitors.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum Endpoint {
-    /// A Unix socket.
+    /// The path of a Unix socket.
     Unix(PathBuf),
-    /// `HOST:PORT`.
+    /// A TCP address as `HOST:PORT`.
     Tcp(String),
 }
 
-/// A text that is not an endpoint.
+/// The error that a text is not the address of a node.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("`{0}` names no endpoint: write unix:PATH or tcp:HOST:PORT")]
 pub struct EndpointError(String);
@@ -57,29 +57,29 @@ impl fmt::Display for Endpoint {
 /// The output format.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Format {
-    /// For people.
+    /// Text for people.
     #[default]
     Text,
-    /// For programs: one JSON document per sample, on one line.
+    /// JSON for programs: one document per sample, on one line.
     Json,
 }
 
 /// When to use colour.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ColorChoice {
-    /// On a terminal, unless `NO_COLOR` is set and not empty.
+    /// Use colour on a terminal, unless `NO_COLOR` is set and not empty.
     #[default]
     Auto,
-    /// Always.
+    /// Use colour always.
     Always,
-    /// Never.
+    /// Use no colour.
     Never,
 }
 
 /// The options of the monitor.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
-    /// The nodes to attach to; empty for all in the socket folder.
+    /// The nodes to attach to; if empty, all nodes in the socket folder.
     pub connect: Vec<Endpoint>,
     /// The token for nodes that require one.
     pub token: Option<Token>,
@@ -95,17 +95,17 @@ pub struct Options {
     pub text: bool,
     /// Show this recording instead of running nodes.
     pub replay: Option<PathBuf>,
-    /// The start position in the recording. Default: the end if it is printed, otherwise the beginning.
+    /// The position in the recording at the start. Default: the end if the recording is printed, otherwise the beginning.
     pub at: Option<At>,
     /// The playback speed; at 1 a counterexample plays one step per second. Default: 1.
     pub speed: Option<f64>,
-    /// Record the arrivals to this file.
+    /// Record the arriving frames to this file.
     pub record: Option<PathBuf>,
-    /// Replace an existing file of that name.
+    /// Replace an existing file with the name of the recording.
     pub force: bool,
-    /// How long to record without a screen, or to check `assertions`.
+    /// How long to record without a screen, or how long to check `assertions`.
     pub length: Option<Duration>,
-    /// Conditions that the cells must fulfil: checked once, or at every sample of `length`. Implies printing.
+    /// Conditions that the cells must fulfil. They are checked once or, with `length`, at every sample. They imply printing.
     pub assertions: Vec<Assertion>,
     /// The output format. JSON implies printing.
     pub format: Format,
@@ -113,9 +113,9 @@ pub struct Options {
     pub color: ColorChoice,
     /// Draw with nothing but ASCII.
     pub ascii: bool,
-    /// The theme, regardless of the terminal.
+    /// The theme, whatever the terminal can show.
     pub theme: Option<Theme>,
-    /// The file that remembers the theme that was chosen last.
+    /// The file in which the theme is stored that the user chose last.
     pub remember: Option<PathBuf>,
     /// The file that keeps the typed lines between runs.
     pub lines: Option<PathBuf>,
@@ -123,7 +123,7 @@ pub struct Options {
     pub palette: Own,
     /// The user's own keys.
     pub keys: Keymap,
-    /// The columns of the overview, as the user chose them. Empty: the terminal's width decides which are shown.
+    /// The columns of the overview, as the user chose them. If empty, the terminal's width decides which columns are shown.
     pub columns: Vec<OverviewColumn>,
     /// Use the mouse.
     pub mouse: bool,

@@ -24,13 +24,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::{Duration, Instant};
 
-/// How long the present nodes have to deliver their state: on a busy machine the thread that serves monitors runs last.
+/// How long a node that runs at the start may take to deliver its state: on a busy machine its thread for monitors runs last.
 const PATIENCE: Duration = Duration::from_secs(4);
-/// The interval between lines if the user gave no period.
+/// The time between two printed lines if the user gave no period.
 const PERIOD: Duration = Duration::from_secs(1);
 /// How often assertions are checked against the store.
 const ASSERTED: Duration = Duration::from_millis(100);
-/// How often a recording without a screen checks whether to end.
+/// How often a recording without a screen checks whether it must end.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// Watches nodes without a screen: collects their frames in a [`Store`].
@@ -38,13 +38,13 @@ pub struct Watch {
     clock: Clock,
     store: Store,
     arrivals: Receiver<Arrival>,
-    /// Sources that have delivered a node's state, or have failed to.
+    /// Sources that have delivered a node's state, or have failed to deliver it.
     settled: BTreeSet<SourceId>,
     source: Live,
 }
 
 impl Watch {
-    /// Starts to watch `which`.
+    /// Starts to watch the nodes of `which`.
     ///
     /// # Errors
     /// [`MonitorError`].
@@ -60,7 +60,7 @@ impl Watch {
         Self::start_judged(source, clock, tape, None)
     }
 
-    /// As [`start_taped`](Self::start_taped); in addition `judge` checks the recordings of the nodes.
+    /// As [`start_taped`](Self::start_taped); additionally `judge` checks the recordings of the nodes.
     ///
     /// # Errors
     /// [`MonitorError`].
@@ -82,7 +82,7 @@ impl Watch {
         Ok(Self { clock, store: Store::of_running_nodes(), arrivals, settled: BTreeSet::new(), source })
     }
 
-    /// Collects arrivals for `length`.
+    /// Collects the frames that arrive during `length`.
     pub fn watch(&mut self, length: Duration) {
         let until = Instant::now() + length;
         while let Ok(arrival) = self.arrivals.recv_timeout(until.saturating_duration_since(Instant::now())) {
@@ -93,7 +93,7 @@ impl Watch {
         }
     }
 
-    /// Waits until every node that was there at the start has delivered its state or failed. Returns false if no node did.
+    /// Waits until every node that ran at the start has delivered its state or failed. Returns false if none delivered its state.
     pub fn settle(&mut self) -> bool {
         let until = Instant::now() + PATIENCE;
         while self.settled.len() < self.source.started() {
@@ -105,7 +105,7 @@ impl Watch {
         !self.store.incarnations().is_empty()
     }
 
-    /// The collected state.
+    /// The collected state of all nodes.
     #[must_use]
     pub const fn store(&self) -> &Store {
         &self.store
@@ -128,7 +128,7 @@ impl Watch {
     }
 }
 
-/// Records without a screen, for the given length or until a signal.
+/// Records frames without a screen, for the given length or until a signal.
 ///
 /// # Errors
 /// [`MonitorError`], also if a frame could not be written.
@@ -164,7 +164,7 @@ pub fn record(
         return Err(failed(why));
     }
     if !found {
-        // An empty recording is useless.
+        // An empty recording is useless, so its file is removed.
         files::discard(path);
         let failed = watch.store().troubles().map(str::to_owned).collect();
         return Err(MonitorError::NothingFound { looked, failed });
@@ -186,8 +186,8 @@ pub fn record(
     finish(said.map(|()| Verdict::Healthy))
 }
 
-/// Prints a recording. With `text`: every step of a counterexample, or a line for every notable event. Otherwise one
-/// stop: the requested one, or the last.
+/// Prints a recording. With `text`, prints every step of a counterexample, or a line for every notable event of other recordings.
+/// Otherwise prints one stop: the requested one, or the last.
 ///
 /// # Errors
 /// [`MonitorError`]. A reader that closes the pipe is no error.
@@ -218,7 +218,7 @@ pub fn replay(options: &Options, mut player: Player, out: &mut impl Write) -> Re
     )
 }
 
-/// Checks the assertions at every stop of a recording until one fails, or only at the requested stop.
+/// Checks the assertions at every stop of a recording until one of them fails, or only at the requested stop.
 fn asserted_of(options: &Options, player: &mut Player, out: &mut impl Write) -> io::Result<Verdict> {
     let stops = match options.at {
         Some(at) => {
@@ -260,7 +260,7 @@ fn steps(player: &mut Player, out: &mut impl Write) -> io::Result<()> {
     Ok(())
 }
 
-/// Prints a line for every notable event. The journal keeps only the newest entries, so it is read stop by stop.
+/// Prints a line for every notable event. The journal keeps only the newest entries, so it is read at every stop of the recording.
 fn entries(player: &mut Player, out: &mut impl Write) -> io::Result<()> {
     let mut next = 0;
     for stop in 0..player.film().stops().len() {
@@ -279,7 +279,7 @@ fn looked(which: &Which) -> Option<PathBuf> {
     }
 }
 
-/// Treats a closed pipe as success.
+/// Turns the error of a closed pipe into success.
 fn finish(verdict: io::Result<Verdict>) -> Result<Verdict, MonitorError> {
     match verdict {
         Err(e) if e.kind() == io::ErrorKind::BrokenPipe => Ok(Verdict::Healthy),
@@ -287,7 +287,7 @@ fn finish(verdict: io::Result<Verdict>) -> Result<Verdict, MonitorError> {
     }
 }
 
-/// Prints the output that `options` ask for to `out`.
+/// Prints to `out` the output for which `options` ask.
 ///
 /// # Errors
 /// [`MonitorError`]. A reader that closes the pipe is no error.
@@ -326,7 +326,7 @@ pub fn print(
     finish(verdict)
 }
 
-/// Checks the assertions: once, or periodically until one fails or the given length is over.
+/// Checks the assertions: once, or periodically until one of them fails or the given length is over.
 fn asserted(watch: &mut Watch, options: &Options, out: &mut impl Write) -> io::Result<Verdict> {
     let until = options.length.map(|length| Instant::now() + length);
     loop {
@@ -366,7 +366,7 @@ fn verdict(watch: &Watch, options: &Options) -> Verdict {
     if critical { Verdict::Finding } else { Verdict::Healthy }
 }
 
-/// Prints one line for every notable event from entry number `next` on.
+/// Prints one line for every notable event, from the entry of the journal with number `next` on.
 fn happened(watch: &Watch, next: &mut u64, options: &Options, out: &mut impl Write) -> io::Result<Verdict> {
     let journal = watch.store().journal();
     for entry in journal.since(*next) {

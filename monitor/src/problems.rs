@@ -1,4 +1,4 @@
-//! The rows of the problems: findings under their causes, then the messages nearest to their deadline.
+//! The rows of the problems screen: findings under their causes, then the messages nearest to their deadline.
 
 use crate::clock::Moment;
 use crate::name::Name;
@@ -8,36 +8,36 @@ use crate::store::nearest::{Near, nearest};
 use crate::store::{IncarnationId, Store};
 use imrs_protocol::{MessageId, PortId, TaskId};
 
-/// How many messages are listed.
+/// How many messages the problems screen lists.
 const NEAREST: usize = 40;
 
-/// A row.
+/// A row of the problems screen.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Problem {
-    /// A block that no finding tells of.
+    /// A block of the cell that no finding mentions.
     Block(Blocker),
-    /// A finding.
+    /// A finding of the cell.
     Finding {
-        /// The finding.
+        /// The finding of this row.
         finding: Finding,
-        /// Whether it is only a consequence of the row above it.
+        /// Whether the finding is only a consequence of the row above.
         caused: bool,
     },
     /// A message near its deadline.
     Message(Near),
 }
 
-/// Identifies a row independently of its position.
+/// Identifies a row even when its position changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProblemKey {
     /// A finding, or a block, by its code and place.
     At(&'static str, Place),
-    /// A message.
+    /// A message near its deadline.
     Message(IncarnationId, TaskId, PortId, Option<(TaskId, MessageId)>),
 }
 
 impl Problem {
-    /// Its identity.
+    /// The identity of the row.
     #[must_use]
     pub fn key(&self) -> ProblemKey {
         match self {
@@ -48,7 +48,7 @@ impl Problem {
     }
 }
 
-/// The rows of a cell with these findings and blocks.
+/// The rows for a cell that has these findings and blocks.
 #[must_use]
 pub fn problems(
     store: &Store,
@@ -62,7 +62,7 @@ pub fn problems(
     rows
 }
 
-/// The findings, each cause followed by what it causes.
+/// The findings, with each cause followed by its consequences.
 fn grouped(findings: &[Finding], blockers: &[Blocker]) -> Vec<Problem> {
     let cause = |finding: &Finding| blockers.iter().position(|blocker| blocker.explains(finding));
     let mut told = vec![false; blockers.len()];
@@ -73,7 +73,7 @@ fn grouped(findings: &[Finding], blockers: &[Blocker]) -> Vec<Problem> {
     };
     for finding in findings.iter().filter(|finding| cause(finding).is_none()) {
         rows.push(Problem::Finding { finding: finding.clone(), caused: false });
-        // A finding of the whole node concerns its tasks too.
+        // A finding about a whole node concerns the tasks of that node, too.
         let about = |place: &Place| place.holds(&finding.place) || finding.place.holds(place);
         for (at, blocker) in blockers.iter().enumerate() {
             if !told[at] && blocker.is_alarming() && about(&blocker.place) {

@@ -11,16 +11,16 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// How many frames may wait for the disk; further ones are counted as lost.
+/// How many frames may wait for the disk. Frames beyond that are counted as lost.
 const ROOM: usize = 1024;
-/// How long ending a recording may wait for the disk.
+/// How long the end of a recording may wait for the disk.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// The recorder. It always remembers the frames with which a recording must begin, so that one can start at any time.
+/// The recorder. It always keeps the frames with which a recording must begin, so that a recording can start at any time.
 #[derive(Default)]
 pub struct Tape {
     inner: Mutex<Inner>,
-    /// Asks the nodes for whole snapshots, with which a recording begins.
+    /// Makes the nodes send whole snapshots, with which a recording begins.
     wishes: Wishes,
 }
 
@@ -30,7 +30,7 @@ struct Inner {
     running: Option<Running>,
 }
 
-/// The identity of a source, and the names of its cell.
+/// What is known of a source: the identity of its node, and the names of its cell.
 struct Known {
     identity: NodeIdentity,
     attached: Vec<u8>,
@@ -42,12 +42,12 @@ struct Running {
     recording: Recording,
     streams: BTreeMap<SourceId, FrameStream>,
     began: Moment,
-    /// The sources for which the recording has a state that deltas can build on.
+    /// The sources of which the recording contains a state to which deltas can be applied.
     whole: BTreeSet<SourceId>,
 }
 
 impl Running {
-    /// Whether a frame can be interpreted after the frames recorded so far.
+    /// Whether a frame can be interpreted when the recording is replayed, after the frames recorded so far.
     fn follows(&mut self, source: SourceId, frame: &ServerFrame) -> bool {
         match frame {
             ServerFrame::Snapshot(_) => {
@@ -73,9 +73,9 @@ impl Running {
         }
     }
 
-    /// Records a frame. Returns false if it was lost, so that later deltas have no base.
+    /// Records a frame. Returns false if the frame was lost, so that later deltas have no base.
     fn put(&mut self, at: Moment, source: SourceId, bytes: Vec<u8>) -> bool {
-        // A source whose number does not fit a recording is not recorded.
+        // The numbers of sources in a recording have 16 bits. A source with a larger number is not recorded.
         let Ok(number) = u16::try_from(source.0) else { return true };
         let recording = &self.recording;
         let stream = self.streams.entry(source).or_insert_with(|| recording.frames(number));
@@ -92,20 +92,21 @@ impl Running {
 /// The result of a recording.
 #[derive(Clone, Debug)]
 pub struct Recorded {
-    /// The file.
+    /// The path of the recording.
     pub path: PathBuf,
-    /// Its size, and errors.
+    /// The size of the recording, and errors.
     pub status: Status,
 }
 
 impl Tape {
-    /// The recorder's wishes: whole snapshots. The owner passes them to the sources.
+    /// What the recorder wants from the nodes: whole snapshots. The owner of this recorder passes this subscription to
+    /// the sources.
     #[must_use]
     pub const fn wishes(&self) -> &Wishes {
         &self.wishes
     }
 
-    /// Records what a source delivered, if a recording runs.
+    /// Records an arrival from a source, if a recording runs.
     pub fn take(&self, arrival: &Arrival) {
         let mut inner = self.inner();
         let Arrival { at, source, feed } = arrival;
@@ -143,7 +144,7 @@ impl Tape {
         }
     }
 
-    /// Starts a recording in a new file, which only its owner can read.
+    /// Starts a recording in a new file, which only the file's owner can read.
     ///
     /// # Errors
     /// [`MonitorError::Recording`], also if the file exists.
@@ -191,7 +192,7 @@ impl Tape {
     }
 }
 
-/// Returns an error if the file exists, or removes it with `force`.
+/// Returns an error if the file exists; with `force` removes it instead.
 ///
 /// # Errors
 /// [`MonitorError::Recording`].
@@ -200,7 +201,7 @@ pub fn free(path: &Path, force: bool) -> Result<(), MonitorError> {
     files::free(path, force).map_err(|error| failed(error.to_string()))
 }
 
-/// `path`, or if it exists the next free name: `run.imrs`, `run-2.imrs`.
+/// Returns `path` or, if that file exists, the next free name: `run.imrs`, `run-2.imrs`.
 #[must_use]
 pub fn free_name(path: &Path) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();

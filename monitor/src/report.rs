@@ -24,9 +24,9 @@ struct Report<'a> {
     version: u32,
     nodes: Vec<Node<'a>>,
     findings: Vec<Found>,
-    /// Where attaching failed, and why.
+    /// The nodes to which attaching failed, each with the reason.
     troubles: Vec<&'a str>,
-    /// The position in a recording.
+    /// The position in the recording, if a recording is shown.
     #[serde(skip_serializing_if = "Option::is_none")]
     replay: Option<Position<'a>>,
 }
@@ -36,24 +36,24 @@ struct Node<'a> {
     cell: &'a str,
     name: &'a str,
     up: bool,
-    /// `up`, `silent`, `stopped`, `dead`, `unseen`.
+    /// The node's state: `up`, `silent`, `stopped`, `dead`, `unseen`.
     state: &'static str,
     incarnation: Option<u8>,
     pid: Option<u32>,
     build: Option<&'a str>,
     uptime_us: Option<u64>,
     insecure: Option<bool>,
-    /// The longest time for which a script is still held back after a restart; `None` if no script is.
+    /// The longest time for which a script of the node is still held back after a restart; `None` if no script is held back.
     held_back_us: Option<u64>,
-    /// If real time was requested: `had`, or the parts that the kernel refused.
+    /// If the node asked for real time: `had`, or the parts that the kernel refused.
     real_time: Option<String>,
     transit: Transit,
     discards: Vec<Reason<'a>>,
     link_discards: Vec<Reason<'a>>,
     lost_events: u64,
-    /// `conforms`, `violates` or `unknown`: the validator's verdict on the inputs that the node records.
+    /// The validator's verdict on the inputs that the node records: `conforms`, `violates` or `unknown`.
     conformance: &'static str,
-    /// How many steps the validator has checked.
+    /// How many steps of the node the validator has checked.
     conforming_steps: u64,
     tasks: Vec<Task<'a>>,
 }
@@ -75,9 +75,9 @@ struct Reason<'a> {
 #[derive(Serialize)]
 struct Task<'a> {
     name: &'a str,
-    /// `run`, `receive`, `await_reply`, `waitfor`, `delay`; or `ended`, `crashed`.
+    /// What the task does: `run`, `receive`, `await_reply`, `waitfor`, `delay`, `ended` or `crashed`.
     state: &'static str,
-    /// How long its script is still held back after a restart of its node.
+    /// How long the task's script is still held back after a restart of its node.
     held_back_us: Option<u64>,
     ports: Vec<Port<'a>>,
     waitfor: Vec<Waitfor<'a>>,
@@ -110,7 +110,7 @@ struct Port<'a> {
 struct Waitfor<'a> {
     port: &'a str,
     round: u16,
-    /// `away`, `gathering`, `within_margin`.
+    /// The member's state at the rendezvous: `away`, `gathering`, `within_margin`.
     state: &'static str,
     released: u16,
     members: Vec<Member<'a>>,
@@ -134,7 +134,7 @@ struct Found {
     text: String,
 }
 
-/// The cells of a store, sorted; if `only` is given, just the cell of that name.
+/// The cells of a store, sorted. If `only` is given, only the cell of that name.
 #[must_use]
 pub fn cells(store: &Store, only: Option<&str>) -> Vec<Name> {
     let mut cells = store.cells();
@@ -157,7 +157,7 @@ pub fn json(store: &Store, only: Option<&str>, now: Moment) -> String {
     whole(store, only, now, None)
 }
 
-/// The same for a recording, with the position in it.
+/// The selected cells of a recording as one line of JSON, with the position in the recording.
 ///
 /// # Panics
 /// Never, as [`json`].

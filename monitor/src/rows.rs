@@ -1,4 +1,4 @@
-//! The rows of the overview: nodes, tasks and ports, sorted and filtered.
+//! The rows of the overview screen: nodes, tasks and ports, sorted and filtered.
 
 use crate::clock::Moment;
 use crate::name::Name;
@@ -10,35 +10,35 @@ use imrs_protocol::PortView;
 use imrs_wire::obs::TaskSnapshot;
 use std::collections::BTreeSet;
 
-/// A row.
+/// A row of the overview.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Row {
-    /// The place that it shows.
+    /// The place that the row shows.
     pub place: Place,
-    /// 0 node, 1 task, 2 port.
+    /// The depth of the row: 0 for a node, 1 for a task, 2 for a port.
     pub depth: u8,
-    /// Whether it has rows within it.
+    /// Whether there are rows within this row.
     pub parent: bool,
-    /// Whether those are shown.
+    /// Whether the rows within this row are shown.
     pub open: bool,
 }
 
-/// The sort order. Rows stay within their node and task.
+/// The order in which rows are sorted. Rows stay within their node and task.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Sort {
     /// No sorting: rows keep the order in which the cell declares them.
     #[default]
     Name,
-    /// Least time left first.
+    /// The row with the least time left comes first.
     Slack,
-    /// Longest queue first.
+    /// The row with the longest queue comes first.
     Queue,
-    /// Most severe finding first.
+    /// The row with the most severe finding comes first.
     Health,
 }
 
 impl Sort {
-    /// The next one.
+    /// The next of the sort orders.
     #[must_use]
     pub const fn next(self) -> Self {
         match self {
@@ -49,7 +49,7 @@ impl Sort {
         }
     }
 
-    /// Its name, in one word.
+    /// The name of the sort order, in one word.
     #[must_use]
     pub const fn word(self) -> &'static str {
         match self {
@@ -61,26 +61,26 @@ impl Sort {
     }
 }
 
-/// The user's settings for the rows.
+/// The user's settings for the rows of the overview.
 #[derive(Clone, Debug, Default)]
 pub struct Shape {
-    /// Rows whose children the user has hidden, or has shown where they are hidden by default.
+    /// Rows that the user has opened although they are closed by default, or has closed although they are open by default.
     pub toggled: BTreeSet<Place>,
     /// The sort order.
     pub sort: Sort,
-    /// Whether the order is inverted.
+    /// Whether the sort order is inverted.
     pub inverted: bool,
-    /// A condition ([`crate::query`]). Rows that do not fulfil it are left out, unless a row within them does.
+    /// A condition ([`crate::query`]). A row that does not fulfil it is left out, unless a row within it does.
     pub filter: String,
-    /// Whether the earlier incarnations of nodes that have ended have rows too.
+    /// Whether ended earlier incarnations of nodes have rows, too.
     pub earlier: bool,
 }
 
-/// Up to this many nodes are all shown one by one, with what is within them.
+/// In a cell of up to this many nodes, each node has an open row of its own.
 const FEW: usize = 6;
 
-/// The healthy nodes that one row stands for: those that are up and without a finding, in a cell of many nodes. `loud`
-/// are nodes that are shown in any case. A filter, and an order by amounts, compare the nodes themselves.
+/// The healthy nodes that share one row: in a cell of many nodes, those that are up and without a finding. The nodes in
+/// `loud` keep rows of their own in any case. With a filter, or a sort order by amounts, all nodes have rows of their own.
 #[must_use]
 pub fn healthy(
     store: &Store,
@@ -102,12 +102,12 @@ pub fn healthy(
     if found.len() > 1 { found } else { Vec::new() }
 }
 
-/// Whether the cell has more than a few nodes. Then the nodes are closed at first.
+/// Whether the cell has more than a few nodes. Then the rows of nodes are closed by default.
 fn is_large(store: &Store, cell: &Name) -> bool {
     store.names(cell).is_some_and(|names| names.nodes.len() > FEW)
 }
 
-/// The rows of a cell. One row stands for the `healthy` nodes, after the others.
+/// The rows of a cell. One row stands for the `healthy` nodes, after all other rows.
 #[must_use]
 pub fn rows(
     store: &Store,
@@ -123,7 +123,7 @@ pub fn rows(
     let mut well: Vec<(Key, Vec<Row>)> = Vec::new();
     for incarnation in store.incarnations_of(cell) {
         let latest = store.is_present(incarnation);
-        // A second process of a running node does not hide the first one.
+        // A second process of a node that still runs must not hide the first one.
         if latest || shape.earlier || incarnation.condition == Condition::Attached {
             let group = if healthy.contains(&incarnation.id) { &mut well } else { &mut nodes };
             group.extend(maker.node(incarnation, latest));
@@ -154,7 +154,7 @@ impl Fields for Unseen {
     }
 }
 
-/// A sort key, ascending.
+/// A number by which rows are sorted, ascending.
 type Key = u64;
 
 struct Maker<'a> {
@@ -167,20 +167,20 @@ struct Maker<'a> {
 }
 
 impl Maker<'_> {
-    /// Whether the filter selects a node or task itself.
+    /// Whether the filter selects the node or the task itself.
     fn wants(&self, incarnation: &NodeIncarnation, task: Option<&TaskSnapshot>) -> bool {
         let row = NodeRow { incarnation, task, findings: self.findings };
         self.filter.is_none_or(|filter| filter.takes(&row))
     }
 
-    /// Whether the filter selects everything within a selected row.
+    /// Whether the filter selects all rows within a selected row.
     fn wants_within(&self) -> bool {
         self.filter.is_none_or(Filter::is_words)
     }
 
-    /// Makes a row. `first`: whether its children are shown by default.
+    /// Makes a row. `first` says whether the rows within it are shown by default.
     fn row(&self, place: Place, depth: u8, parent: bool, first: bool) -> Row {
-        // A filter shows its matches even in hidden rows.
+        // A filter also shows its matches within rows that are closed.
         let open = parent && (first != self.shape.toggled.contains(&place) || !self.shape.filter.is_empty());
         Row { place, depth, parent, open }
     }
@@ -212,7 +212,8 @@ impl Maker<'_> {
         groups.into_iter().flat_map(|(_, rows)| rows).collect()
     }
 
-    /// The rows of a node. Those of an earlier incarnation are hidden by default, because users look for the latest one.
+    /// The rows of a node and of its tasks and ports. The row of an earlier incarnation is closed by default, because
+    /// users look for the latest one.
     fn node(&self, incarnation: &NodeIncarnation, latest: bool) -> Option<(Key, Vec<Row>)> {
         let place = Place { node: Ok(incarnation.id), task: None, port: None };
         let wanted = self.wants(incarnation, None);
@@ -272,7 +273,7 @@ impl Maker<'_> {
         Some((self.key(&place, self.slack(incarnation, task), queued), rows))
     }
 
-    /// The shortest slack at a task, if rows are sorted by slack.
+    /// The shortest slack at a task, if the rows are sorted by slack.
     fn slack(&self, incarnation: &NodeIncarnation, task: &TaskSnapshot) -> u64 {
         if self.shape.sort != Sort::Slack {
             return u64::MAX;

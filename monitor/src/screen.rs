@@ -1,37 +1,37 @@
 //! The screens of the monitor.
 
-/// A screen.
+/// A screen of the monitor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Screen {
-    /// Nodes, tasks and ports.
+    /// The nodes, tasks and ports.
     #[default]
     Overview,
-    /// One port's queue.
+    /// The queue of one port.
     Port,
     /// The history of one message, from sending to its end.
     Message,
-    /// Who waits for whom.
+    /// Which task waits for which.
     Rendezvous,
     /// The events of each task, side by side.
     Timeline,
-    /// Timers and deadlines.
+    /// The timers and deadlines.
     Timers,
     /// The event log.
     Events,
-    /// Whether the nodes conform to the model.
+    /// Whether the nodes conform to the verified state machine.
     Model,
-    /// Findings and the nearest deadlines, over all nodes.
+    /// The findings and the nearest deadlines of all nodes.
     Problems,
     /// The page about the code of a finding.
     Explain,
-    /// The settings of the running monitor, over another screen.
+    /// The settings of the running monitor, drawn over another screen.
     Settings,
-    /// The keys and signs.
+    /// The keys and the signs of the screens.
     Help,
 }
 
 impl Screen {
-    /// All of them.
+    /// All screens.
     pub const ALL: [Self; 12] = [
         Self::Overview,
         Self::Port,

@@ -10,18 +10,18 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How long the main loop has to restore the terminal before this thread does it.
+/// How long the main loop may take to restore the terminal before this thread restores it.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// How long the terminal then has to accept the restoring output.
+/// How long the terminal may take to accept the output with which this thread restores it.
 const LAST_MOMENT: Duration = Duration::from_millis(200);
 
 /// A signal's request to the main loop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Call {
-    /// End as this signal would.
+    /// End the monitor as this signal would.
     End(i32),
-    /// Restore the terminal and suspend.
+    /// Restore the terminal and suspend the monitor.
     Stop,
     /// Continue after a suspension: redraw everything.
     GoOn,
@@ -76,14 +76,14 @@ impl Drop for Listener {
     }
 }
 
-/// Ends the process if the main loop does not respond: its terminal may be gone or block it.
+/// Ends the process if the main loop does not react: its terminal may be gone, or may block it.
 fn end_at_last(signal: i32, told: bool, answered: &AtomicBool) {
     let until = Instant::now() + PATIENCE;
     while told && !answered.load(Ordering::SeqCst) && Instant::now() < until {
         thread::sleep(Duration::from_millis(10));
     }
     if !answered.load(Ordering::SeqCst) {
-        // Writing to a stuck terminal blocks, so another thread does it.
+        // Writing to a stuck terminal blocks, so another thread writes.
         let _ = thread::Builder::new().spawn(give_back);
         thread::sleep(LAST_MOMENT);
         let _ = emulate_default_handler(signal);

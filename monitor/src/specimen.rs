@@ -1,4 +1,4 @@
-//! A synthetic cell of any size, in the frames that its nodes would send. Benchmarks of the screens use it.
+//! A synthetic cell of any size, in the form of the frames that its nodes would send. Benchmarks of the screens use it.
 
 mod shown;
 
@@ -15,17 +15,17 @@ use imrs_wire::obs::{
     TaskName, TaskSnapshot, TimedEvent,
 };
 
-/// The size of the cell: nodes in a ring, each with tasks, each of which has ports. The same task of the next node
-/// sends on those ports.
+/// The size of the cell. Its nodes form a ring. Each node has tasks, and each task has ports on which the same task of
+/// the next node sends.
 #[derive(Clone, Copy, Debug)]
 pub struct Specimen {
-    /// The nodes.
+    /// The number of nodes.
     pub nodes: u16,
-    /// The tasks per node.
+    /// The number of tasks per node.
     pub tasks: u16,
-    /// The ports at which each task receives.
+    /// The number of ports at which each task receives.
     pub ports: u16,
-    /// How many queued messages of a port are listed; a monitor of very many ports asks for none.
+    /// How many queued messages of a port are listed. A monitor of very many ports asks for none.
     pub queue_limit: u16,
 }
 
@@ -33,12 +33,13 @@ pub struct Specimen {
 const WAITING: u16 = 6;
 
 impl Specimen {
-    /// 100 nodes with 100 ports each, all queued messages listed.
+    /// A cell of 100 nodes with 100 ports each. All queued messages are listed.
     pub const CELL: Self = Self { nodes: 100, tasks: 1, ports: 100, queue_limit: WAITING };
-    /// One node with 100 tasks of 100 ports, no queued messages listed.
+    /// A cell of one node with 100 tasks of 100 ports each. No queued messages are listed.
     pub const NODE: Self = Self { nodes: 1, tasks: 100, ports: 100, queue_limit: 0 };
 
-    /// The arrivals when a monitor attaches at `at`: the state with its queued messages, and 20 events of each node.
+    /// The arrivals when a monitor attaches at the moment `at`: the state of each node with its queued messages, and 20
+    /// events of each node.
     #[must_use]
     pub fn arrivals(&self, at: Moment) -> Vec<Arrival> {
         (0..self.nodes).flat_map(|node| self.node(node, at)).collect()
@@ -63,13 +64,13 @@ impl Specimen {
         ]
     }
 
-    /// A frame of a node as an arrival.
+    /// Turns a frame of a node into an arrival.
     #[must_use]
     pub fn said(node: u16, at: Moment, frame: ServerFrame) -> Arrival {
         Arrival { at, source: SourceId(node.into()), feed: Feed::Frame(Box::new(frame)) }
     }
 
-    /// The task that sends to `task`: the same task of the next node.
+    /// The task that sends to `task`: the task of the same number within the next node.
     const fn sender(&self, task: u16) -> TaskId {
         TaskId((task + self.tasks) % (self.nodes * self.tasks))
     }
@@ -142,7 +143,7 @@ impl Specimen {
         TaskSnapshot { liveness: Liveness::Alive, age_us: 0, view }
     }
 
-    /// Advances a state by 100 ms. In each task every `apart`-th port changes, in rotation.
+    /// Advances a state by 100 ms. In each task one of `apart` ports changes, in rotation.
     pub fn go_on(state: &mut Snapshot, period: u64, apart: usize) {
         const PERIOD_US: u64 = 100_000;
         state.mono_us += PERIOD_US;
@@ -163,7 +164,7 @@ impl Specimen {
         }
     }
 
-    /// Events of messages that the first task of a node sent and took.
+    /// Events of messages that the first task of a node sent and received.
     #[must_use]
     pub fn events(&self, node: u16) -> Events {
         let own = node * self.tasks;

@@ -17,7 +17,8 @@ use std::io::{self, BufWriter, Stdout, Write};
 use std::panic;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Whether the monitor holds the terminal. Set before the terminal changes, so that a signal in between still restores it.
+/// Whether the monitor holds the terminal. It is set before the terminal changes, so that a signal right then still
+/// restores the terminal.
 static BORROWED: AtomicBool = AtomicBool::new(false);
 
 /// How many bytes are collected before they are written: a whole frame of a large screen.
@@ -52,16 +53,16 @@ impl Borrowed {
         Ok(Self { terminal, mouse })
     }
 
-    /// The area of the screen.
+    /// The size of the screen, as an area.
     ///
     /// # Errors
-    /// The error of the query for its size.
+    /// The error of asking the terminal for its size.
     pub fn area(&self) -> io::Result<Rect> {
         let size = self.terminal.backend().size()?;
         Ok(Rect::from((ratatui::layout::Position::ORIGIN, size)))
     }
 
-    /// Copies `text` to the terminal's clipboard (OSC 52); a terminal without one ignores it.
+    /// Copies `text` to the terminal's clipboard (OSC 52). A terminal without a clipboard ignores this.
     ///
     /// # Errors
     /// [`MonitorError::Terminal`].
@@ -119,15 +120,15 @@ pub fn is_borrowed() -> bool {
     BORROWED.load(Ordering::SeqCst)
 }
 
-/// Draws one frame as a synchronized update: the terminal shows nothing of it until it has all of it. Terminals that do
-/// not know synchronized updates ignore the marks.
+/// Draws one frame as a synchronized update: the terminal shows the frame only when the frame is complete. Terminals
+/// that do not know synchronized updates ignore the marks of their beginning and end.
 fn frame<W: Write>(
     terminal: &mut Terminal<CrosstermBackend<W>>,
     view: impl FnOnce(&mut Buffer),
 ) -> io::Result<()> {
     queue!(terminal.backend_mut(), BeginSynchronizedUpdate)?;
     let drawn = terminal.draw(|frame| view(frame.buffer_mut())).map(|_| ());
-    // A terminal would hold back the shell's output too, so the update ends even if drawing failed.
+    // The terminal would hold back the shell's output, too. So the update ends even if drawing failed.
     execute!(terminal.backend_mut(), EndSynchronizedUpdate).and(drawn)
 }
 

@@ -1,9 +1,9 @@
-//! The themes. A glyph or a word always carries the meaning too; colour alone never does.
+//! The themes. A glyph or a word always carries the meaning, too; colour alone never does.
 
 use ratatui::style::{Color, Modifier, Style};
 use std::str::FromStr;
 
-/// The role of a piece of the screen, which determines its style.
+/// The meaning of a part of the screen, which determines its style.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ink {
     /// Ordinary text.
@@ -14,56 +14,56 @@ pub enum Ink {
     Dim,
     /// The selected row.
     Selected,
-    /// Healthy.
+    /// A healthy state.
     Good,
     /// A warning.
     Warn,
     /// A critical finding.
     Bad,
-    /// What blocks the cell: the loudest of all.
+    /// The block of the cell: the most striking style.
     Alarm,
-    /// Remaining time in a bar.
+    /// The remaining time in a bar.
     Bar,
 }
 
-/// The signs of rows and bars, each one column wide.
+/// The signs in rows and bars, each one column wide.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Glyphs {
-    /// Before the selected row.
+    /// The sign before the selected row.
     pub selected: &'static str,
-    /// Before a row whose children are shown.
+    /// The sign before a row whose inner rows are shown.
     pub open: &'static str,
-    /// Before a row whose children are hidden.
+    /// The sign before a row whose inner rows are hidden.
     pub closed: &'static str,
-    /// Before a dead node.
+    /// The sign before a dead node.
     pub dead: &'static str,
     /// The filled part of a bar.
     pub full: &'static str,
     /// The empty part of a bar.
     pub empty: &'static str,
-    /// A known arrival in the matrix.
+    /// The sign in the matrix of arrivals if the member knows of the arrival.
     pub yes: &'static str,
-    /// An unknown arrival in the matrix.
+    /// The sign in the matrix of arrivals if the member does not know of the arrival.
     pub no: &'static str,
-    /// From one end to the other.
+    /// An arrow to the right, from one task to another.
     pub arrow: &'static str,
-    /// The same, leftwards.
+    /// An arrow to the left, from one task to another.
     pub back: &'static str,
-    /// A message between tasks of one node, timed by one clock.
+    /// The line of a message between tasks of one node, timed by one clock.
     pub way: &'static str,
-    /// A message between nodes, whose clock offset is an estimate.
+    /// The line of a message between nodes, whose clock offset is an estimate.
     pub guessed: &'static str,
     /// The line of a lane of the timeline.
     pub lane: &'static str,
-    /// A rendezvous.
+    /// The mark of a rendezvous.
     pub met: &'static str,
-    /// A rejection by rank.
+    /// The mark of a rejection by rank.
     pub penalty: &'static str,
-    /// In a bar: the forecast of completion.
+    /// The mark in a bar at the forecast of completion.
     pub done: &'static str,
-    /// In a bar: remaining back-off.
+    /// The part of a bar for the time until a rejected message is offered again.
     pub wait: &'static str,
-    /// Heights, from empty to full.
+    /// Columns of eight heights, from empty to full.
     pub heights: [&'static str; 8],
 }
 
@@ -112,9 +112,9 @@ const UNICODE: Glyphs = Glyphs {
 /// A set of styles and signs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Theme {
-    /// Its name, for the user.
+    /// The name of the theme, for the user.
     pub name: &'static str,
-    /// The signs.
+    /// The signs of the theme.
     pub glyphs: Glyphs,
     palette: Palette,
     own: Own,
@@ -125,9 +125,9 @@ pub struct Theme {
 pub struct Own([Option<Color>; Self::ROLES.len()]);
 
 impl Own {
-    /// No colours.
+    /// The user has chosen no colours.
     const NONE: Self = Self([None; Self::ROLES.len()]);
-    /// The roles that may have another colour, and their names in the settings file.
+    /// The roles whose colour the user may choose, and their names in the settings file.
     pub const ROLES: [(Ink, &'static str); 7] = [
         (Ink::Head, "head"),
         (Ink::Dim, "dim"),
@@ -138,7 +138,7 @@ impl Own {
         (Ink::Bar, "bar"),
     ];
 
-    /// Gives a role a colour. An alarm has it as its background.
+    /// Gives a role a colour. For an alarm this is the background colour.
     pub fn set(&mut self, ink: Ink, colour: Color) {
         if let Some(at) = Self::ROLES.iter().position(|(role, _)| *role == ink) {
             self.0[at] = Some(colour);
@@ -151,20 +151,20 @@ impl Own {
     }
 }
 
-/// The colours.
+/// The colours of a theme.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Palette {
-    /// None: bold, dim, underlined and reversed only.
+    /// No colours: only bold, dim, underlined and reversed text.
     None,
-    /// For a dark background.
+    /// Colours for a dark background.
     Dark,
-    /// For a light background.
+    /// Colours for a light background.
     Light,
     /// The strongest colours on black, whatever the background of the terminal, and nothing dim.
     Contrast,
 }
 
-/// White and black of the fixed part of the 256 colours.
+/// White and black, in the fixed part of the 256 colours.
 const WHITE: u8 = 231;
 const BLACK: u8 = 16;
 /// The background of an alarm: red.
@@ -175,17 +175,17 @@ impl Theme {
     pub const COLOUR: Self = Self { name: "colour", glyphs: UNICODE, palette: Palette::Dark, own: Own::NONE };
     /// No colour: bold, dim, underlined and reversed only.
     pub const MONO: Self = Self { name: "mono", glyphs: UNICODE, palette: Palette::None, own: Own::NONE };
-    /// No colour and nothing but ASCII.
+    /// The theme without colour and with nothing but ASCII.
     pub const ASCII: Self = Self { name: "ascii", glyphs: ASCII, palette: Palette::None, own: Own::NONE };
-    /// Colour, and nothing but ASCII.
+    /// The theme with colour and nothing but ASCII.
     pub const COLOUR_ASCII: Self =
         Self { name: "colour-ascii", glyphs: ASCII, palette: Palette::Dark, own: Own::NONE };
-    /// The same colours, darker, for a light background.
+    /// The colours of [`Self::COLOUR`], but darker, for a light background.
     pub const LIGHT: Self = Self { name: "light", glyphs: UNICODE, palette: Palette::Light, own: Own::NONE };
     /// The strongest colours and nothing dim, for poor eyesight or light.
     pub const CONTRAST: Self =
         Self { name: "contrast", glyphs: UNICODE, palette: Palette::Contrast, own: Own::NONE };
-    /// All themes, in the order of the theme key.
+    /// All themes, in the order in which the theme key shows them.
     pub const ALL: [Self; 6] =
         [Self::COLOUR, Self::LIGHT, Self::CONTRAST, Self::MONO, Self::ASCII, Self::COLOUR_ASCII];
 
@@ -214,7 +214,7 @@ impl Theme {
         Self { own, ..self }
     }
 
-    /// Another theme with the same own colours.
+    /// The theme `other` with the user's own colours of this theme.
     #[must_use]
     pub const fn changed_to(self, other: Self) -> Self {
         other.with(self.own)
@@ -228,12 +228,13 @@ impl Theme {
             (true, true, true) => Self::LIGHT,
             (false, true, _) => Self::MONO,
             (true, false, false) => Self::COLOUR_ASCII,
-            // The ASCII theme with colours is for a dark background.
+            // The ASCII theme with colours is for a dark background only.
             (false, false, _) | (true, false, true) => Self::ASCII,
         }
     }
 
-    /// Whether a terminal that can show `other` can show this theme: no colours and no signs beyond it.
+    /// Whether a terminal that can show `other` can show this theme: it needs no colours and no signs that `other` does
+    /// not need.
     #[must_use]
     pub fn needs_no_more_than(&self, other: &Self) -> bool {
         let has_colour = |theme: &Self| theme.palette != Palette::None;
@@ -330,7 +331,8 @@ mod tests {
         }
     }
 
-    /// The eight first colours of a terminal and its default background belong to the user, so white text could be on white.
+    /// A terminal's first eight colours and its default background belong to the user, so white text could be on a
+    /// white background.
     #[test]
     fn the_contrast_theme_sets_both_text_and_background_everywhere() {
         for ink in INKS {

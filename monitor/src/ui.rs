@@ -30,16 +30,16 @@ use std::time::Duration;
 const FRAME: Duration = Duration::from_millis(33);
 /// The least time after a user's input, which must be answered quickly.
 const ANSWER: Duration = Duration::from_millis(8);
-/// How many messages may be queued. A source that sends more blocks, and then its node coalesces snapshots.
+/// How many messages may be queued. A source that sends more is blocked, and its node then combines its snapshots.
 const QUEUE: usize = 64;
-/// How often the keyboard thread checks whether to end, and so the longest delay of leaving.
+/// How often the keyboard thread checks whether it must end, which is also the longest delay of leaving the monitor.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// The numbers of sources that the user adds start here; those found automatically are below.
+/// The numbers of sources that the user adds start here; sources that are found automatically have lower numbers.
 const MORE: u32 = 60_000;
-/// How many numbers each added source may use.
+/// How many numbers each source that the user adds may use.
 const EACH: u32 = 256;
-/// The file name of a written screen; a number makes it unique.
+/// The name of the file to which a screen is written; a number makes it unique.
 const FRAME_FILE: &str = "monitor-screen.txt";
 
 /// The files that the screen writes.
@@ -53,7 +53,7 @@ pub struct Files {
 enum Input {
     Msg(Msg),
     Call(Call),
-    /// The terminal is gone, so no keys will arrive.
+    /// The terminal is gone, so no key press will arrive any more.
     NoKeys,
 }
 
@@ -106,7 +106,7 @@ pub fn show(
         gaps: 0,
     };
     let ended = screen.run(&mut terminal);
-    // The keyboard thread must end before the terminal is restored, or it would take input meant for the shell.
+    // The keyboard thread must end before the terminal is restored, because it would take input meant for the shell.
     drop(screen);
     drop(terminal);
     if let Ok(Some(signal)) = ended {
@@ -119,31 +119,31 @@ struct Loop<'a> {
     app: &'a mut App,
     clock: Clock,
     inputs: Receiver<Input>,
-    /// When the next frame is due, if one is.
+    /// When the next frame is due; `None` if none is.
     due: Option<Moment>,
     drawn: Option<Moment>,
     tape: &'a Arc<Tape>,
-    /// The file of the record key.
+    /// The file that the record key writes.
     record: PathBuf,
-    /// For added sources and the keyboard thread.
+    /// A sender of inputs, for sources that the user adds and for the keyboard thread.
     sender: SyncSender<Input>,
-    /// The keyboard thread, unless the terminal is released.
+    /// The keyboard thread; `None` while the terminal is released.
     keys: Option<Keys>,
     /// Writes the typed lines, if they are kept.
     keeper: Option<Keeper>,
     /// The sources that the user added.
     more: Vec<Live>,
-    /// Judges the recordings that nodes announce.
+    /// The worker that judges the recordings that nodes announce.
     worker: ConformanceWorker,
     /// The store's count of gaps at the last check.
     gaps: u64,
 }
 
 impl Loop<'_> {
-    /// Runs until the user quits or a signal ends it. Returns that signal.
+    /// Runs until the user quits or a signal ends the monitor. Returns that signal.
     fn run(&mut self, terminal: &mut Borrowed) -> Result<Option<i32>, MonitorError> {
         loop {
-            // A panic in another thread has restored the terminal, so nothing may be drawn any more.
+            // If a panic in another thread has restored the terminal, nothing may be drawn any more.
             if !terminal::is_borrowed() {
                 return Err(MonitorError::Internal);
             }
@@ -161,7 +161,7 @@ impl Loop<'_> {
                 Err(RecvTimeoutError::Timeout) => continue,
                 Err(RecvTimeoutError::Disconnected) => return Err(MonitorError::Internal),
             };
-            // Handle all queued inputs before the next frame.
+            // All queued inputs are handled before the next frame.
             let more: Vec<_> = self.inputs.try_iter().take(QUEUE).collect();
             for input in std::iter::once(first).chain(more) {
                 match self.take(input, terminal)? {
@@ -180,7 +180,8 @@ impl Loop<'_> {
         };
         let effect = match input {
             Input::Msg(msg) => self.app.update(msg, self.clock.now()),
-            // SIGINT means ^C, and ^C quits. Dying of the signal would make the parent shell abort its script as well.
+            // SIGINT means ^C, and ^C quits. If the monitor ended by the signal itself, the parent shell would also
+            // abort its script.
             Input::Call(Call::End(SIGINT)) => return Ok(Next::Quit),
             Input::Call(Call::End(signal)) => return Ok(Next::EndAs(signal)),
             Input::Call(Call::Stop) => Effect::Suspend,
@@ -231,7 +232,7 @@ impl Loop<'_> {
                 self.due = Some(Duration::ZERO);
             }
             Effect::Suspend => {
-                // The keyboard thread must end first, or it would take input meant for the shell.
+                // The keyboard thread must end first, because it would take input meant for the shell.
                 self.keys = None;
                 terminal::give_back();
                 signals::stop();
@@ -293,7 +294,7 @@ impl Loop<'_> {
 
     /// Attaches to another node until the monitor ends.
     fn connect(&mut self, endpoint: Endpoint) -> Result<(), MonitorError> {
-        // Reserve numbers for the nodes found through it.
+        // This reserves numbers for the nodes that will be found through this node.
         let number = u32::try_from(self.more.len()).unwrap_or(u32::MAX);
         let first = MORE.saturating_add(number.saturating_mul(EACH));
         let (taped, worker, sender) = (Arc::clone(self.tape), self.worker.clone(), self.sender.clone());
@@ -317,7 +318,7 @@ enum Next {
     EndAs(i32),
 }
 
-/// The keyboard thread. Dropping it ends the thread and joins it.
+/// The keyboard thread. Dropping this value ends the thread and joins it.
 struct Keys {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -353,14 +354,14 @@ impl Drop for Keys {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // Its panic was already reported; the terminal is restored anyway.
+            // A panic of the thread was already reported; the terminal is restored anyway.
             let _ = thread.join();
         }
     }
 }
 
-/// Passes an input to the main loop as soon as there is room. Returns false if the thread must end: then the main loop
-/// takes nothing, because it waits for the thread.
+/// Passes an input to the main loop as soon as there is room. Returns false if the thread must end: the main loop then
+/// waits for the thread, and takes no input.
 fn hand_over(sender: &SyncSender<Input>, mut input: Input, stopped: &AtomicBool) -> bool {
     loop {
         match sender.try_send(input) {

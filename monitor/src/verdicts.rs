@@ -1,5 +1,5 @@
-//! The validator's verdicts of the last minutes, for moving back while paused. They are no frames of a node, so the film of
-//! the history does not contain them.
+//! The validator's verdicts of the last minutes, for moving back while paused. They are no frames of a node, so the
+//! frames of the history do not contain them.
 
 use crate::clock::Moment;
 use crate::conformance::Conformance;
@@ -8,11 +8,11 @@ use std::collections::{BTreeMap, VecDeque};
 use std::mem::discriminant;
 use std::time::Duration;
 
-/// How long arrivals and verdicts are kept, to move back to them.
+/// For how long arrivals and verdicts are kept, so that the user can move back to them.
 pub const LENGTH: Duration = Duration::from_secs(600);
-/// Two verdicts of one kind on an incarnation are kept only if they are this far apart.
+/// Two equal verdicts on an incarnation are kept only if they are this far apart.
 const APART: Duration = Duration::from_secs(1);
-/// The most incarnations with verdicts.
+/// For how many incarnations verdicts are kept, at most.
 const INCARNATIONS: usize = 256;
 
 /// The verdicts of the last [`LENGTH`], by cell, node and incarnation.
@@ -35,13 +35,13 @@ impl Verdicts {
         if !kept.back().is_some_and(like) {
             kept.push_back((arrival.at, (**said).clone()));
         }
-        // The last verdict before the interval still applies at its start.
+        // The last verdict before the kept time stays, because it still applies at the start of that time.
         while kept.get(1).is_some_and(|(at, _)| arrival.at.saturating_sub(*at) > LENGTH) {
             kept.pop_front();
         }
     }
 
-    /// The latest verdict on each incarnation at a moment.
+    /// For each incarnation, the latest verdict before a moment.
     pub(crate) fn at(&self, moment: Moment) -> impl Iterator<Item = Arrival> {
         self.0.iter().filter_map(move |((cell, node, incarnation), kept)| {
             let (at, said) = kept.iter().rfind(|(at, _)| *at <= moment)?;

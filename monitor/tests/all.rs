@@ -1,4 +1,4 @@
-//! The tests of the monitor, built as one program: each file beside this one is a module, except those of `*_memory.rs`.
+//! The tests of the monitor, built as one program. The tests in `*_memory.rs` are programs of their own.
 
 mod blocked;
 mod common;

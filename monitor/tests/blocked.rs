@@ -1,4 +1,4 @@
-//! Tests of the banner: what blocks the cell is named on every screen, neither too early nor too loudly.
+//! Tests of the banner: every screen names what blocks the cell, neither too early nor too strikingly.
 
 use crate::common::crowd::CROWD_DEATH;
 use crate::common::{BEAT, LIFT, Stage, at, beam, left, ms, snapshot};
@@ -19,12 +19,12 @@ fn blocked(stage: &Stage, now: Duration) -> Vec<Blocker> {
     blockers(stage.app.store(), &beam(), now)
 }
 
-/// The second line of the screen.
+/// The second line of the screen, which is the banner.
 fn banner(stage: &Stage, now: Duration, width: u16) -> String {
     stage.text(now, width, 24).lines().nth(1).unwrap_or_default().to_owned()
 }
 
-/// Both arms have waited for the hoist since `waited`, at 1 s.
+/// At the time 1 s, both arms have waited for the hoist for as long as `waited`.
 fn waiting(waited: Duration) -> Stage {
     let mut stage = Stage::cell(Theme::ASCII);
     for node in 0..2 {
@@ -47,7 +47,7 @@ fn a_wait_is_shown_after_half_a_second_and_alarms_when_it_is_longer_than_usual()
     assert_eq!(found[0].by, [TaskId(0), TaskId(1)]);
     let shown = banner(&stage, ms(1_450), 120);
     assert!(shown.starts_with(" waiting for hoist@nh - receive halt - holds 2 of 3 for 5"), "{shown}");
-    // Without a history, three quarters of the time_out are too long.
+    // If no rounds were observed, a wait counts as too long after three quarters of its time_out.
     let shown = banner(&stage, ms(1_700), 120);
     assert!(shown.starts_with(" BLOCKED BY hoist@nh - receive halt - holds 2 of 3 for 80"), "{shown}");
 }
@@ -77,7 +77,7 @@ fn the_usual_time_of_a_meeting_is_that_of_its_own_rounds() {
 #[test]
 fn a_dead_node_is_named_half_a_second_after_its_death_and_not_the_ones_that_may_still_come() {
     let mut stage = waiting(ms(700));
-    // The right arm has not arrived either, but it still can.
+    // The right arm has not arrived either, but it can still arrive.
     let mut right = snapshot(1);
     right.tasks[0].view.state = TaskState::Running;
     right.tasks[0].view.meetings[0].state = MeetingState::Away;
@@ -110,7 +110,7 @@ fn a_dead_node_for_which_no_task_waits_is_named_too() {
     crashed.frame(ms(1_000), 0, ServerFrame::Snapshot(after));
     let names: Vec<_> = blocked(&crashed, ms(1_700)).into_iter().map(|b| (b.kind, b.name)).collect();
     assert!(names.contains(&(Kind::Lost, "armL@nl".to_owned())), "{names:?}");
-    // A node that said goodbye blocks only those that wait for it.
+    // A node that has said goodbye is named as a block only if a task waits for it.
     crashed.feed(ms(1_000), 7, Feed::Stale { cell: "beam-lift".into(), node: "nx".into() });
     assert!(blocked(&crashed, ms(1_700)).iter().all(|b| b.name != "nx"));
 }
@@ -187,7 +187,7 @@ fn a_key_and_a_click_lead_to_the_culprit() {
     }
     let mut stage = Stage::busy(Theme::ASCII);
     stage.lose(ms(1_500), 2);
-    // The filter hides the row, and so does a folded node.
+    // The row is hidden, first by the filter, then by a closed node.
     stage.typed(ms(3_000), (80, 24), "/armL\n6");
     let kind = MouseEventKind::Down(MouseButton::Left);
     stage

@@ -1,4 +1,4 @@
-//! Tests of the cursor and of Enter on every screen, and of what can be clicked.
+//! Tests of the cursor and of Enter on every screen, and of the targets of mouse clicks.
 
 use crate::common::{Stage, ms, text};
 use crossterm::event::{KeyCode, KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
@@ -28,7 +28,8 @@ fn row_of(shown: &str, words: &str) -> usize {
     shown.lines().position(|line| line.contains(words)).unwrap_or_else(|| panic!("no {words}: {shown}"))
 }
 
-/// The screens whose rows are about nodes and tasks: the keys to it, words of a row, and what the overview selects.
+/// The screens whose rows are about nodes and tasks: for each, the keys that open it, words in a row, and the task that
+/// the overview then selects.
 const PLACES: [(&str, &str, &str); 6] = [
     ("3", "armR@nr", "armR"),
     ("3", "lift r12", "lift "),
@@ -55,7 +56,7 @@ fn every_screen_has_a_cursor_and_enter_leads_to_what_the_row_is_about() {
         assert_eq!(stage.app.screen, Screen::Overview, "{keys}");
         let line = shown.lines().nth(selected(&shown)).unwrap();
         assert!(line.contains(place), "{keys}: {line}");
-        // By the mouse: a click selects, and one on the selected row opens.
+        // With the mouse, a click selects a row, and a click on the selected row opens it.
         let mut stage = Stage::busy(Theme::ASCII);
         stage.typed(NOW, SIZE, keys);
         stage.key(NOW, KeyCode::End);
@@ -79,7 +80,7 @@ fn a_row_that_is_about_no_place_says_so() {
     assert_eq!(stage.app.screen, Screen::Model);
 }
 
-/// Each title explains itself, with the words of the help.
+/// A click on a title explains the column in the words of the help.
 #[test]
 fn a_click_on_a_title_explains_the_column() {
     for (keys, titles) in [
@@ -103,7 +104,7 @@ fn a_click_on_a_title_explains_the_column() {
             assert!(foot.starts_with(&format!(" {title}: ")), "{keys} {title}: {foot}");
         }
     }
-    // By the keyboard: a command, which also knows the codes of findings.
+    // With the keyboard, a command explains a column. The command also knows the codes of findings.
     let mut stage = Stage::busy(Theme::ASCII);
     stage.keys(NOW, ":explain slack\n");
     assert!(drawn(&mut stage).contains("SLACK: remaining time"));
@@ -111,7 +112,7 @@ fn a_click_on_a_title_explains_the_column() {
     assert_eq!((stage.app.screen, stage.app.explained()), (Screen::Explain, Some("node-dead")));
 }
 
-/// What the bottom line names can be clicked: keys, and the worst finding.
+/// The keys and the most severe finding on the bottom line can be clicked.
 #[test]
 fn the_bottom_line_can_be_clicked() {
     let mut stage = Stage::busy(Theme::ASCII);
@@ -129,7 +130,7 @@ fn the_bottom_line_can_be_clicked() {
     let shown = drawn(&mut stage);
     assert_eq!(stage.app.screen, Screen::Overview);
     assert!(shown.lines().nth(selected(&shown)).unwrap().contains("beat"), "{shown}");
-    // The verdict below the overview leads to the model.
+    // A click on the verdict below the overview opens the model screen.
     let row = row_of(&shown, "model: UNKNOWN");
     let column = shown.lines().nth(row).unwrap().find("UNKNOWN").unwrap();
     click(&mut stage, column, row);

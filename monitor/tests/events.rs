@@ -1,4 +1,4 @@
-//! Tests of the event log: what shares a line, what stays, and what is hidden.
+//! Tests of the event log: which events share a line, which stay, and which are hidden.
 
 use crate::common::{BEAT, HALT, LIFT, Stage, events, left, ms, observed};
 use imrs_monitor::source::Feed;
@@ -8,7 +8,7 @@ use imrs_protocol::{Event, Reason};
 use imrs_wire::obs::{Events, ServerFrame, TimedEvent};
 use std::time::Duration;
 
-/// A node dies, and for a minute the other two drop a packet in turn every hundred milliseconds.
+/// A node dies, and for a minute the other two nodes alternately drop a packet every hundred milliseconds.
 fn flooded() -> Stage {
     let mut stage = Stage::cell(Theme::ASCII);
     stage.lose(ms(2_000), 2);
@@ -34,7 +34,7 @@ fn a_flood_from_several_nodes_takes_a_line_of_each_and_the_death_before_it_stays
     assert!(shown.lines().any(|line| line.contains("nh") && line.contains("dead")), "{shown}");
 }
 
-/// After a pause longer than the window, a repetition is another event.
+/// If an event repeats after a pause that is longer than the window, it gets another line.
 #[test]
 fn a_line_ends_when_its_event_has_not_come_for_the_window() {
     let mut stage = Stage::cell(Theme::ASCII);

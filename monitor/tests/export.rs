@@ -20,7 +20,8 @@ fn at_node(node: u16, mono_us: u64, what: Observation) -> Shown {
     Shown::Said(ServerFrame::Events(Events { lost: 0, events: vec![event] }))
 }
 
-/// The left arm sends a beat, and the right arm takes it. Another beat expires, and the hoist dies.
+/// The left arm sends a message of the port `beat`, and the right arm takes it. Another such message expires, and the
+/// hoist dies.
 fn film() -> Arc<Film> {
     let header = Header { cell: "beam-lift".into(), ..Header::default() };
     let mut writer = RecordingWriter::new(Vec::new(), &header).unwrap();

@@ -21,7 +21,7 @@ fn state(node: usize, periods: u64) -> Snapshot {
     state.mono_us += periods * 100_000;
     state.uptime_us += periods * 100_000;
     for task in &mut state.tasks {
-        // Something changes in every third period.
+        // In two of three periods, some values change.
         task.age_us = periods % 3 * 100_000;
         for port in &mut task.view.ports {
             port.counters.sent = periods / 3;
@@ -109,7 +109,7 @@ fn a_recording_that_begins_in_the_middle_begins_with_all_that_is() {
     take(arrival(period(0), whole(0, 0)));
     (1..10).for_each(|n| take(arrival(period(n), change(0, n - 1, n))));
     tape.start(&path, period(9)).unwrap();
-    // Deltas without a base in the recording are useless, until the node sends a whole snapshot.
+    // Deltas without a base in the recording cannot be applied, until the node sends a whole snapshot.
     (10..13).for_each(|n| take(arrival(period(n), change(0, n - 1, n))));
     take(arrival(period(13), whole(0, 13)));
     (14..40).for_each(|n| take(arrival(period(n), change(0, n - 1, n))));
@@ -154,7 +154,7 @@ fn while_paused_one_goes_back_in_the_present_run() {
     assert_eq!(stage.app.moment(now), period(697));
     let screen = stage.text(now, 120, 24);
     assert!(screen.contains("PAUSED -200ms") && screen.contains("200ms before the pause"), "{screen}");
-    // The nodes continue, but the paused screen does not show it.
+    // The nodes send more frames, but the paused screen does not show them.
     stage.frame(period(700), 0, change(0, 699, 700));
     assert_eq!(shown(&stage), (id, 697));
     stage.keys(now, "{");
@@ -170,7 +170,7 @@ fn while_paused_one_goes_back_in_the_present_run() {
     assert_eq!(shown(&stage), (id, 700), "and the present");
 }
 
-/// A verdict comes from no connection, and still belongs to its time.
+/// A verdict of the validator comes from no connection, but is still shown at its time.
 #[test]
 fn the_verdict_is_known_while_one_goes_back() {
     let mut stage = Stage::new(Theme::MONO);
@@ -228,7 +228,7 @@ fn the_history_is_as_long_as_it_says() {
     assert_eq!(first.timers.first().map(|timer| timer.remaining), None::<Ticks>);
 }
 
-/// The bar's row, and where it is on the screen.
+/// The row of the scrub bar on the screen, and its characters.
 fn bar(stage: &mut Stage, now: Duration) -> (usize, Vec<char>) {
     let shown = text(&stage.draw(now, 100, 24));
     let row =

@@ -1,4 +1,4 @@
-//! Test of the memory of ten minutes with ten thousand ports, in a process of its own (goal M7).
+//! Tests how much memory ten minutes of a cell with ten thousand ports take (goal M7). The test runs in a process of its own.
 
 use imrs_monitor::app::{App, Msg};
 use imrs_monitor::clock::Moment;
@@ -10,20 +10,21 @@ use imrs_protocol::Incarnation;
 use imrs_wire::obs::{Delta, NodeIdentity, ServerFrame};
 use std::time::Duration;
 
-/// A run: its length in seconds, and the limits for history and process, in bytes.
+/// A run of the test: its length in seconds, and the limits for the history and for the process, in bytes.
 struct Run {
     seconds: u64,
     history: usize,
     process: usize,
 }
 
-/// The goal is 64 MiB. 4 MiB of it are reserved for file pages of the program, which the kernel may drop and whose
-/// number depends on the build.
+/// The goal is 64 MiB. Of these, 4 MiB are reserved for file pages of the program. The kernel may drop such pages, and
+/// their number depends on the build.
 const TEN_MINUTES: Run = Run { seconds: 600, history: BUDGET, process: 60 << 20 };
-/// The default run: a tenth of the history with a tenth of its budget, plus the memory of the process without history.
+/// The default run: a tenth of the history with a tenth of its budget, and the memory that the process takes without
+/// the history.
 const ONE_MINUTE: Run = Run { seconds: 60, history: BUDGET / 10, process: 20 << 20 };
 
-/// One in this many ports changed in each period: 5 %.
+/// One of this many ports changes in each period: 5 %.
 const APART: usize = 20;
 
 /// The resident anonymous memory of this process, in bytes.
@@ -33,7 +34,7 @@ fn resident() -> usize {
     line.split_whitespace().next().unwrap().parse::<usize>().unwrap() * 1024
 }
 
-/// Runs one minute, or the ten of the goal if `IMRS_HISTORY` is set.
+/// Runs one minute or, if `IMRS_HISTORY` is set, the ten minutes of the goal.
 #[test]
 fn ten_minutes_of_ten_thousand_ports_fit_the_budget() {
     let run = if std::env::var_os("IMRS_HISTORY").is_some() { TEN_MINUTES } else { ONE_MINUTE };
@@ -52,7 +53,7 @@ fn ten_minutes_of_ten_thousand_ports_fit_the_budget() {
         app.update(Msg::Feed(Specimen::said(0, at, ServerFrame::Delta(delta))), at);
     };
     let mut state = Specimen::NODE.snapshot(0);
-    // Every port has a queued message: the most that a delta can contain.
+    // Every port has a queued message, so that the deltas are as large as possible.
     for port in state.tasks.iter_mut().flat_map(|task| &mut task.view.ports) {
         (port.len, port.min_slack) = (1, Some(imrs_protocol::Ticks(100_000 + u64::from(port.port.0))));
     }

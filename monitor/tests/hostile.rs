@@ -8,7 +8,7 @@ use imrs_protocol::{Event, Incarnation, PortId};
 use imrs_wire::obs::{NodeIdentity, ServerFrame};
 use proptest::prelude::*;
 
-/// A frame with some bytes changed, if it still decodes.
+/// A frame with some bytes changed; `None` if it cannot be decoded any more.
 fn damaged(which: usize, damage: &[(usize, u8)]) -> Option<ServerFrame> {
     let list = [observed(Event::GaveUp, PortId(0), 2, 7), observed(Event::TimedOut, PortId(1), 1, 8)];
     let frame = match which {

@@ -9,19 +9,20 @@ use imrs_wire::obs::ServerFrame;
 use rustix::time::{ClockId, clock_gettime};
 use std::time::Duration;
 
-/// Processor time of this thread, which other threads do not affect.
+/// The processor time of this thread, which other threads do not affect.
 fn own_time() -> Duration {
     Duration::try_from(clock_gettime(ClockId::ThreadCPUTime)).expect("it counts from the thread's begin")
 }
 
-/// Whether the user declares the machine quiet. Then the tests assert times too.
+/// Whether the user declares that the machine is quiet. Only then the tests assert times, too.
 fn is_quiet() -> bool {
     std::env::var_os("IMRS_QUIET").is_some_and(|value| value == "1")
 }
 
-/// The allocations that a frame may make: twice the measured number. Building ten thousand rows allocates far more.
+/// The greatest number of allocations for a frame: twice the measured number. Making ten thousand rows allocates far
+/// more often.
 const MOST: u64 = 5_000;
-/// The same limit for the screen that lists the kinds of transitions.
+/// The greatest number of allocations for a frame of the screen that lists the kinds of transitions.
 const MOST_OF_MODEL: u64 = 20_000;
 
 fn stage(cell: Specimen) -> Stage {
@@ -40,8 +41,8 @@ fn a_keyframe_of_ten_thousand_ports_fits_a_frame() {
     assert!(bytes.len() < imrs_wire::obs::MAX_FRAME / 2);
 }
 
-/// The number of allocations is independent of the machine. The time is asserted only with `IMRS_QUIET=1`, with some
-/// fifty times the usual value.
+/// The number of allocations does not depend on the machine. The time is asserted only with `IMRS_QUIET=1`, with some
+/// fifty times the usual value as the limit.
 #[test]
 fn only_rows_in_sight_are_made() {
     let mut stage = stage(Specimen::NODE);
@@ -63,7 +64,7 @@ fn only_rows_in_sight_are_made() {
 }
 
 /// Goal M1: 100 nodes with 100 ports each, at 200x60. `imrs bench screen` measures it. This test only detects a screen
-/// that builds every row, on a busy machine too.
+/// that makes every row, and works on a busy machine, too.
 #[test]
 fn every_screen_of_a_hundred_nodes_is_built_from_what_is_in_sight() {
     let attached = stage(Specimen::CELL);

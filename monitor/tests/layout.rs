@@ -1,4 +1,4 @@
-//! Tests of what stays legible: at narrow widths, with wide names, in the selected row, and after a restart.
+//! Tests that the screens stay legible: at narrow widths, with wide names, in the selected row, and after a restart.
 
 use crate::common::{NODES, Stage, identity, ms, snapshot, table, text};
 use imrs_monitor::app::Screen;
@@ -13,7 +13,7 @@ use std::time::Duration;
 
 const NOW: Duration = ms(1_150);
 
-/// Everything that the header may say: a recording, a pause, insecure nodes and lost events.
+/// A screen whose header has every possible warning: a recording, a pause, insecure nodes and lost events.
 fn warned() -> Stage {
     let mut stage = Stage::busy(Theme::ASCII);
     stage.lose(ms(1_120), 2);
@@ -68,7 +68,8 @@ fn the_selected_row_has_one_style() {
     }
 }
 
-/// On a light terminal, what has no colour of its own would be dark on light, and white text would vanish.
+/// On a light terminal, a cell without a colour of its own would have dark text on a light background, and white text
+/// would be invisible.
 #[test]
 fn the_contrast_theme_colours_every_cell_itself() {
     for key in ["1", "2", "3", "4", "5", "6", "7", "8", "?"] {
@@ -126,7 +127,7 @@ fn dead_incarnations_have_no_rows_until_asked_for_and_never_look_healthy() {
     assert_eq!(stage.app.rows(&[], NOW).len(), rows);
 }
 
-/// Two runs of one cell at the same time: no process that runs is hidden, also if the later one ends first.
+/// Two processes run the same node of a cell at the same time. Both have a row, also after the later one has ended.
 #[test]
 fn two_processes_of_a_node_both_have_rows() {
     let mut stage = Stage::cell(Theme::ASCII);
@@ -171,7 +172,7 @@ fn each_screen_has_a_filter_of_its_own() {
     assert!(stage.text(NOW, 120, 24).contains("filter /slack<20ms"));
 }
 
-/// Characters of two columns and of none: what follows a name stays in its column.
+/// With characters that are two columns wide or have no width, the text after a name stays in its column.
 #[test]
 fn names_are_measured_in_columns_of_the_screen() {
     let mut stage = Stage::new(Theme::ASCII);
@@ -197,7 +198,7 @@ fn names_are_measured_in_columns_of_the_screen() {
     }
 }
 
-/// The corner is for what the titles leave free; where nothing fits, the titles stay.
+/// The text in the corner uses only the room that the titles leave free. If it has no room, only the titles are shown.
 #[test]
 fn no_title_is_overwritten() {
     for width in 40..=140 {
@@ -216,7 +217,7 @@ fn no_title_is_overwritten() {
     }
 }
 
-/// Findings, a pause, a recording and a trouble share the bottom line with the keys of the screen.
+/// Findings, a pause, a recording and an error share the bottom line with the keys of the screen.
 #[test]
 fn key_hints_are_on_every_screen_whatever_is_wrong() {
     let keymap = Keymap::default();
@@ -231,7 +232,7 @@ fn key_hints_are_on_every_screen_whatever_is_wrong() {
             assert!(width < 80 || named > 1, "{screen:?} {width}: {foot}");
             assert!(width < 64 || foot.starts_with(" paused at"), "{screen:?} {width}: {foot}");
         }
-        // Every hint names a key that does what the help says.
+        // Every hint names a key with the action that the help describes.
         let all = keymap.hints(screen).count();
         assert!(all >= 4, "{screen:?}");
         for (hint, action) in keymap.hints(screen) {
@@ -243,7 +244,7 @@ fn key_hints_are_on_every_screen_whatever_is_wrong() {
     }
 }
 
-/// Words in capitals are titles; each stands in the help of its screen.
+/// Words in capitals are titles; each of them is explained in the help of its screen.
 #[test]
 fn the_help_of_a_screen_explains_each_of_its_columns() {
     for (keys, least) in [("1", 10), ("2l", 8), ("2l\n", 6), ("3", 5), ("5", 6), ("6", 5), ("8", 3)] {
@@ -271,7 +272,7 @@ fn the_help_of_a_screen_explains_each_of_its_columns() {
     }
 }
 
-/// Figures since the node's start and since the monitor attached stand in rows that say so: no two are mistaken for each other.
+/// Numbers that count since the node's start, and numbers that count since the monitor attached, are in rows that say so.
 #[test]
 fn figures_of_the_port_say_since_when_they_count() {
     for (keys, most) in [("2l", 200), ("2l", 80)] {

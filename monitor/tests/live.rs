@@ -42,7 +42,7 @@ fn watch(base: &Path) -> (Watch, Clock) {
     (Watch::start(Which::Under(base.to_owned()), clock).unwrap(), clock)
 }
 
-/// Watches until `done`.
+/// Watches the nodes until `done` returns true.
 fn until(watch: &mut Watch, what: &str, done: impl Fn(&Watch) -> bool) {
     let end = Instant::now() + LIMIT;
     while !done(watch) {
@@ -51,7 +51,7 @@ fn until(watch: &mut Watch, what: &str, done: impl Fn(&Watch) -> bool) {
     }
 }
 
-/// Watches until a node has delivered its state. The monitor itself would give up sooner.
+/// Watches until a node has delivered its state, for longer than the monitor itself would wait.
 fn settled(watch: &mut Watch) {
     let end = Instant::now() + LIMIT;
     while !watch.settle() {
@@ -66,8 +66,8 @@ fn first_trouble(watch: &Watch) -> Option<&str> {
     watch.store().troubles().next()
 }
 
-/// The attach error of a server that does `each` with every connection. On a busy machine any server may be silent too
-/// long at first; a later attempt shows the real error.
+/// The reason why attaching fails to a server that does `each` with every connection. On a busy machine any server may
+/// be silent too long at first; a later attempt shows the real reason.
 fn trouble_with(each: impl Fn(Peer) + Send + Clone + 'static) -> String {
     let (_temp, base) = base();
     listen(&base, "nl", each);
@@ -76,14 +76,14 @@ fn trouble_with(each: impl Fn(Peer) + Send + Clone + 'static) -> String {
     first_trouble(&watch).unwrap().to_owned()
 }
 
-/// The reason for which a node is lost that does `each` after the handshake.
+/// The reason for which the connection is lost to a node that does `each` after the handshake.
 fn loss_with(each: impl Fn(&mut Peer) + Send + Clone + 'static) -> String {
     let (_temp, base) = base();
     listen(&base, "nl", move |mut peer| {
         if peer.greet(0).is_ok() {
             peer.say(&ServerFrame::Snapshot(snapshot(0))).unwrap();
             each(&mut peer);
-            // The server keeps reading, so that the monitor fails on a read and never on a write.
+            // The server keeps reading, so that the monitor's reads fail and never its writes.
             let _ = peer.writer.get_ref().shutdown(Shutdown::Write);
             while peer.hear().is_ok() {}
         }
@@ -106,7 +106,7 @@ fn a_cell_is_found_and_shown_and_new_nodes_join() {
     until(&mut watch, "three nodes", |w| {
         w.store().incarnations().iter().filter(|l| l.last.is_some()).count() == 3
     });
-    // On a busy machine a node may have been silent for a second, but all continue.
+    // On a busy machine a node may have been silent for a second, but all nodes continue.
     until(&mut watch, "all of them up, and nothing critical", |w| {
         let now = clock.now();
         w.store().incarnations().iter().all(|l| l.presence(now) == Presence::Up)
@@ -143,7 +143,7 @@ fn a_dead_node_is_shown_dead_and_comes_back_after_a_restart() {
     let incarnations = Arc::new(AtomicU32::new(0));
     let count = incarnations.clone();
     listen(&base, "nl", move |mut peer| {
-        // A connection that ends before the handshake does not count as an incarnation.
+        // A connection that ends before the handshake is not counted as an incarnation.
         let Ok(credit) = peer.greet(0) else { return };
         if count.fetch_add(1, Ordering::Relaxed) == 0 {
             peer.say(&ServerFrame::Snapshot(snapshot(0))).unwrap();
@@ -152,10 +152,10 @@ fn a_dead_node_is_shown_dead_and_comes_back_after_a_restart() {
         }
     });
     let (mut watch, clock) = watch(&base);
-    // It may be back before the check, but the journal has its death.
+    // The node may run again before this check, but the journal has its death.
     until(&mut watch, "death", |w| !w.store().journal().lines(false, "dead").is_empty());
     until(&mut watch, "return", |w| w.store().incarnations()[0].presence(clock.now()) == Presence::Up);
-    // The monitor shows it from its first frame on; the server counts it after the handshake.
+    // The monitor shows the new incarnation from its first frame on; the server counts it after the handshake.
     until(&mut watch, "its second life", |_| incarnations.load(Ordering::Relaxed) == 2);
 }
 
@@ -177,7 +177,8 @@ fn another_version_is_refused_with_both_named() {
 #[test]
 fn strangers_and_silence_are_told_apart() {
     let trouble = trouble_with(|mut peer| {
-        // A connection closed with unread data may be reset before the peer has read anything.
+        // If a connection is closed with unread data, it may be reset before the peer has read anything. So the server
+        // reads first.
         let _ = peer.reader.read_frame();
         peer.raw(b"\x20\0\0\0HTTP/1.1 400 Bad Request\r\n\r\nxxxx");
     });
@@ -249,7 +250,7 @@ fn a_socket_that_a_killed_node_left_is_removed_and_remembered() {
     assert!(text.contains("node nh: DEAD") && text.contains("node nr: not seen here"), "{text}");
 }
 
-/// The version and schema of the programs of version 1.0.
+/// The version and schema of programs that use version 1.0.
 const OLD: (Version, u32) = (Version { major: 1, minor: 0 }, 0x3723_afbb);
 
 #[test]
@@ -269,7 +270,7 @@ fn a_node_of_version_1_0_is_asked_in_its_own_words() {
             count.fetch_add(1, Ordering::Relaxed);
             credit -= 1;
             while credit == 0 {
-                // The monitor never sends it any other frame.
+                // The monitor never sends any other frame to a node of version 1.0.
                 let frame = peer.reader.read_frame().unwrap();
                 let Ok(ClientFrame::Credit(more)) = ClientFrame::decode(frame) else { panic!("{frame:?}") };
                 credit += more;
@@ -279,7 +280,7 @@ fn a_node_of_version_1_0_is_asked_in_its_own_words() {
     });
     let (mut watch, _) = watch(&base);
     until(&mut watch, "30 snapshots", |_| sent.load(Ordering::Relaxed) == 30);
-    // The sent frames may not have reached the store yet.
+    // The frames that the node has sent may not have reached the store yet.
     until(&mut watch, "its tasks", |w| {
         w.store().incarnations().first().is_some_and(|l| !l.tasks().is_empty())
     });
@@ -326,7 +327,7 @@ fn one_address_leads_to_the_whole_cell() {
         let place = |address: String| NodePlace { node: NodeId(2), address };
         let nodes = vec![place("tcp:nowhere".into()), place(format!("unix:{}", third.display()))];
         for _ in 0..3 {
-            // A repeated address is followed once.
+            // The monitor connects only once to an address that is reported twice.
             peer.say(&ServerFrame::Places(Places { nodes: nodes.clone() })).unwrap();
         }
         peer.say(&ServerFrame::Snapshot(snapshot(0))).unwrap();

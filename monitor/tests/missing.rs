@@ -1,4 +1,4 @@
-//! Tests of declared nodes of which the monitor knows little or nothing.
+//! Tests of nodes that the cell declares and of which the monitor knows little or nothing.
 
 use crate::common::{LIFT, NODES, Stage, beam, codes, identity, ms, snapshot, table};
 use imrs_monitor::query::Assertion;
@@ -58,7 +58,7 @@ fn a_socket_left_behind_says_which_node_was_killed() {
     assert!(codes(stage.app.store(), ms(1_000)).contains(&"node-dead"));
 }
 
-/// The conditions that scripts use: whether all nodes are up, and whether any finding is critical.
+/// Tests the conditions that scripts use: whether all nodes are up, and whether any finding is critical.
 #[test]
 fn no_condition_on_a_whole_cell_holds_because_a_node_is_not_there() {
     let mut stage = Stage::new(Theme::ASCII);
@@ -76,7 +76,7 @@ fn no_condition_on_a_whole_cell_holds_because_a_node_is_not_there() {
     assert!(holds(&stage, "missing==1"));
 }
 
-/// A recording contains only the nodes that were recorded, so it cannot show that others are missing.
+/// A recording contains only the nodes that were recorded, so it cannot show that other nodes are missing.
 #[test]
 fn in_a_recording_nobody_is_missing() {
     let mut stage = Stage::new(Theme::ASCII);

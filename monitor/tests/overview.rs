@@ -24,7 +24,7 @@ fn of_a_large_cell_one_row_stands_for_the_healthy_nodes() {
     assert!(shown.contains("x node3") && shown.contains("+ node5"), "{shown}");
     let healthy = rows.iter().find(|row| row.contains("+ 10 nodes")).unwrap();
     assert!(healthy.contains("up: node0, node1, node2") && healthy.ends_with("ok"), "{healthy}");
-    // The row opens, and its nodes are closed.
+    // The row of the healthy nodes opens, and the nodes in it are closed.
     stage.keys(CROWD_NOW, "Gl");
     let shown = text(&stage.draw(CROWD_NOW, 120, 24));
     for node in (0..CROWD.nodes).filter(|node| ![3, 5].contains(node)) {
@@ -32,7 +32,7 @@ fn of_a_large_cell_one_row_stands_for_the_healthy_nodes() {
     }
     stage.keys(CROWD_NOW, "jl");
     assert!(text(&stage.draw(CROWD_NOW, 120, 24)).contains("- task0"));
-    // The selection stays with the group when its node is closed in it, and nothing is copied that is no name.
+    // When the node is closed, the row of the healthy nodes stays selected. It has no name that could be copied.
     stage.keys(CROWD_NOW, "k");
     stage.key(CROWD_NOW, KeyCode::Left);
     assert!(text(&stage.draw(CROWD_NOW, 120, 24)).lines().any(|line| line.starts_with("> + 10 nodes")));
@@ -50,7 +50,7 @@ fn a_node_in_trouble_leaves_the_row_of_the_healthy_ones_and_comes_back() {
     assert_eq!(count(&stage, ms(9_250)), 10);
 }
 
-/// Who sorts by an amount, or filters, compares nodes: then each has its row.
+/// If the user sorts by an amount, or filters, each node has a row of its own, so that nodes can be compared.
 #[test]
 fn a_filter_and_an_order_by_amounts_show_each_node() {
     for keys in ["s", "ss", "/node\n"] {
@@ -86,7 +86,7 @@ fn the_row_of_a_restarted_node_says_which_incarnation_it_is_and_how_many_died() 
     let shown = stage.text(ms(1_150), 120, 24);
     assert!(shown.contains("up 4m12s incarnation 9, 8 deaths"), "{shown}");
     assert!(stage.text(ms(1_150), 200, 24).contains("incarnation 9, 8 deaths"));
-    // A node that says goodbye does not die.
+    // A node that says goodbye does not count as dead.
     let mut stage = Stage::cell(Theme::ASCII);
     let bye = imrs_wire::obs::Bye { reason: imrs_wire::obs::Goodbye::Stopping };
     stage.frame(ms(1_100), 0, ServerFrame::Bye(bye));
@@ -94,7 +94,8 @@ fn the_row_of_a_restarted_node_says_which_incarnation_it_is_and_how_many_died() 
     assert!(stage.text(ms(1_150), 120, 24).contains("incarnation 2 "));
 }
 
-/// The counters of the last five seconds stand out; older ones are what they are since the start.
+/// Counters that have grown in the last five seconds are shown with `+`; other counters are shown as their count since
+/// the start.
 #[test]
 fn counters_say_what_was_added_in_the_last_five_seconds() {
     let mut stage = Stage::cell(Theme::ASCII);
@@ -123,7 +124,7 @@ fn counters_say_what_was_added_in_the_last_five_seconds() {
     }
 }
 
-/// Sixty states of a node, whose traffic grows, make a line that rises.
+/// A node sends sixty states with growing traffic, so its sparkline rises.
 #[test]
 fn each_node_has_a_line_of_its_traffic_and_of_its_slack() {
     let mut stage = Stage::cell(Theme::COLOUR);
@@ -142,7 +143,7 @@ fn each_node_has_a_line_of_its_traffic_and_of_its_slack() {
     let (traffic, slack) = bars.split_at(bars.len() / 2);
     assert!(traffic.is_sorted() && traffic.first() < traffic.last(), "{row}");
     assert!(slack.iter().rev().is_sorted() && slack.first() > slack.last(), "{row}");
-    // A narrow screen has no room for them, and a new node nothing to show.
+    // A narrow screen has no room for sparklines, and for a new node there is nothing to show.
     assert!(!stage.text(ms(13_050), 64, 24).contains('▇'));
 }
 
@@ -155,7 +156,7 @@ fn the_health_has_what_the_other_columns_do_not_need() {
     }
     let wide = Stage::crowd(Theme::ASCII).text(CROWD_NOW, 120, 24);
     assert!(wide.contains("!! dead, last state kept"), "{wide}");
-    // The sum of a whole cell is longer than a port's, and stays whole.
+    // The sum of a whole cell is longer than the number of a port, and is not cut.
     assert!(Stage::crowd(Theme::ASCII).text(CROWD_NOW, 80, 24).contains("18/720 "));
 }
 
@@ -170,13 +171,13 @@ fn a_list_that_does_not_fit_has_a_scrollbar_and_says_where_one_is() {
     assert!(shown.lines().nth(2).unwrap().ends_with(&format!("{all}/{all}")), "{shown}");
     let bar: String = shown.lines().skip(3).take(7).filter_map(|line| line.chars().nth(79)).collect();
     assert!(bar.starts_with('|') && bar.ends_with('#'), "{bar}");
-    // A click on its beginning leads to the first row, on its end to the last.
+    // A click on the beginning of the scrollbar selects the first row, and a click on its end the last row.
     click(&mut stage, 79, 3);
     assert!(text(&stage.draw(CROWD_NOW, 80, 12)).lines().nth(3).unwrap().starts_with('>'));
     click(&mut stage, 79, 9);
     let shown = text(&stage.draw(CROWD_NOW, 80, 12));
     assert!(shown.lines().nth(2).unwrap().ends_with(&format!("{all}/{all}")), "{shown}");
-    // Where all rows fit there is neither.
+    // If all rows have room, there is neither a scrollbar nor a position.
     let shown = text(&stage.draw(CROWD_NOW, 120, 40));
     assert!(!shown.contains(&format!("/{all}")), "{shown}");
 }

@@ -1,4 +1,4 @@
-//! Tests of the problems: one list over all nodes, causes first, and where its keys lead.
+//! Tests of the problems screen: one list over all nodes, with causes first, and the screens that its keys open.
 
 use crate::common::{BEAT, Stage, beam, ms};
 use crossterm::event::{KeyModifiers, MouseButton, MouseEvent, MouseEventKind};

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 const NOW: Duration = ms(1_000);
 
-/// `node.task.port` of the ports that match a filter.
+/// The ports that match a filter, as `node.task.port`.
 fn taken(store: &Store, text: &str) -> Vec<String> {
     let filter = Filter::parse(text).unwrap().unwrap();
     let found = findings(store, &Name::new("beam-lift"), NOW);
@@ -49,7 +49,7 @@ fn filters_pick_ports_by_what_they_have() {
     assert_eq!(taken(store, "beat"), ["nl.armL.beat", "nr.armR.beat"]);
     assert_eq!(taken(store, "armr && !lift"), ["nr.armR.beat", "nr.armR.halt"]);
     assert_eq!(taken(store, "health=warning"), ["nr.armR.beat"]);
-    // A missing slack is below nothing and unequal to everything.
+    // A missing slack is less than no value, and unequal to every value.
     assert_eq!(taken(store, "slack<10s"), ["nr.armR.beat"]);
     assert_eq!(taken(store, "slack!=7ms").len(), 7);
     assert_eq!(Filter::parse("  ").unwrap(), None);
@@ -98,7 +98,7 @@ fn assertions_speak_of_whole_cells() {
     stage.lose(ms(1_050), 2);
     assert_eq!(held(&stage, "up>=3", ms(1_060)), (false, "up = 2".to_owned()));
     assert!(!held(&stage, "critical=0", ms(1_060)).0);
-    // Without queued messages the least slack is infinite.
+    // Without queued messages the least slack counts as infinite.
     let nothing = "min_slack>5ms".parse::<Assertion>().unwrap().holds(&Store::default(), &[], NOW);
     assert_eq!((nothing.holds, nothing.values.join(", ")), (true, "min(slack) = nothing".to_owned()));
 }

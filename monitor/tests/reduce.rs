@@ -1,4 +1,4 @@
-//! Tests of the reducers of store and app, without a terminal.
+//! Tests how the store and the app apply messages, without a terminal.
 
 use crate::common::{BEAT, HALT, LIFT, Stage, beam, codes, events, identity, ms, observed, snapshot, table};
 use crossterm::event::KeyCode;
@@ -188,7 +188,7 @@ proptest! {
         stage.feed(at(0), 1, Feed::Attached { identity, pid: 1, build: "imrs".into() });
         let mut told = snapshot(1);
         told.tasks[0].age_us = age_us;
-        // At the sample the state machine is `age_us` behind, so its remaining time is larger by this.
+        // At the time of the snapshot, the state machine is `age_us` behind, so its remaining time is larger by `age_us`.
         let remaining = Ticks(left_us.saturating_add(age_us) / tick_us);
         stage.frame(at(way_us), 1, ServerFrame::Snapshot(told));
         let now = at(way_us + passed_us);
@@ -203,7 +203,7 @@ proptest! {
 fn timers_are_late_when_most_of_many_are() {
     let mut stage = Stage::new(Theme::ASCII);
     stage.attach(ms(1_000), 0, 1);
-    // For each second: how many timers ended, how many of them late, and whether that is a finding.
+    // For each second: how many timers ended, how many of them were late, and whether that is a finding.
     let seconds = [
         ((2, 2), false),
         ((5, 0), false),
@@ -414,7 +414,7 @@ fn a_trouble_ends_with_its_socket_or_with_success() {
     assert_eq!(stage.app.store().troubles().count(), 0);
 }
 
-/// A reported hold-back counts down, in text and in JSON, until the node reports that the scripts began.
+/// The time for which a script is held back counts down, in text and in JSON, until the node reports that its scripts began.
 #[test]
 fn a_restarted_node_is_shown_to_be_held_back_until_its_scripts_begin() {
     let mut stage = Stage::cell(Theme::MONO);

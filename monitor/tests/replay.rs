@@ -1,4 +1,4 @@
-//! Tests of recordings: writing, opening, moving in them, drawing.
+//! Tests of recordings: writing and opening them, moving in them, and drawing them.
 
 use crate::common::{
     BEAT, LIFT, Stage, events, identity, ms, observed, snapshot, styles, table, text, whole_film,
@@ -47,7 +47,7 @@ fn story() -> Story {
     }
 }
 
-/// Forty steps of two milliseconds. A packet is lost in step 3, the hoist dies in step 20, and step 40 is the finding.
+/// A counterexample of forty steps of two milliseconds: step 3 loses a packet, the hoist dies in step 20, step 40 is the finding.
 fn film() -> Vec<(u16, u64, Shown)> {
     let mut records = vec![(0, 0, Shown::Story(story()))];
     for number in 0..=40 {
@@ -217,7 +217,7 @@ fn a_recording_shows_what_was_seen_live() {
         take(ms(5), node, Feed::Attached { identity: identity(node as usize, 1), pid: 800 + node, build });
         take(ms(5), node, Feed::Frame(Box::new(ServerFrame::Table(table()))));
     }
-    // The recording contains the nodes and states from before its start.
+    // The recording also contains the nodes and states from before its start.
     tape.start(&path, ms(10)).unwrap();
     for node in 0..3_u32 {
         take(ms(1_010), node, Feed::Frame(Box::new(ServerFrame::Snapshot(snapshot(node as usize)))));

@@ -1,4 +1,4 @@
-//! Tests of every screen at every size in every style: each cell, with text and style.
+//! Tests of every screen at every size in every style: they compare each cell of the screen, with text and style.
 
 use crate::common::{BEAT, HALT, LIFT, Stage, at, events, left, ms, observed, snapshot, styles, text};
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
@@ -37,7 +37,7 @@ fn dead(theme: Theme) -> Stage {
     stage
 }
 
-/// A mark is set, and then two more messages expire.
+/// The user sets a mark, and then two more messages expire.
 fn marked(theme: Theme) -> Stage {
     let mut stage = stage(theme);
     stage.keys(ms(1_060), "m");
@@ -57,10 +57,10 @@ fn held_back(theme: Theme) -> Stage {
     stage
 }
 
-/// The name of a scene, its stage, and the keys that open it.
+/// A scene: its name, its stage, and the keys that open its screen.
 type Scene = (&'static str, fn(Theme) -> Stage, &'static str);
 
-/// The right arm has answered many beats in four milliseconds each, and its buffer is full.
+/// The right arm has answered many messages of `beat` in four milliseconds each, and its buffer is full.
 fn served(theme: Theme) -> Stage {
     let mut stage = Stage::busy(theme);
     let beats = (0..8).flat_map(|n| {
@@ -88,7 +88,7 @@ fn served(theme: Theme) -> Stage {
     stage
 }
 
-/// The left arm waits for the right one at the lift, and the right arm waits for a beat of the left one.
+/// The left arm waits for the right arm at the lift, and the right arm waits for a message of `beat` from the left arm.
 fn cycle(theme: Theme) -> Stage {
     let mut stage = Stage::cell(theme);
     let mut left = snapshot(0);
@@ -161,7 +161,7 @@ fn snap(name: &str, make: impl Fn(Theme) -> Stage, keys: &str, now: Duration) {
 #[test]
 fn screens_look_as_recorded() {
     for (name, make, keys) in SCENES {
-        // Half a second after a death the banner names it.
+        // The banner names a dead task only half a second after its death.
         let now = if name.ends_with("_dead") { LATER } else { NOW };
         snap(name, make, keys, now);
     }
@@ -238,7 +238,7 @@ fn the_help_lists_every_key_and_every_key_does_something_where_it_says() {
     }
 }
 
-/// Checks that a key has an effect on its screens; keys of recordings need a recording.
+/// Checks that a key has an effect on its screens. Keys that move in recordings need a recording.
 fn press(event: &KeyEvent, screen: Screen, action: Action) {
     let mut stage = Stage::busy(Theme::ASCII);
     if screen == Screen::Message {

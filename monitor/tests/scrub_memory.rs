@@ -1,4 +1,5 @@
-//! Test of the memory of moving back in the history while paused, in a process of its own (goal M7).
+//! Tests how much memory moving back in the history takes while the screen is paused (goal M7). The test runs in a
+//! process of its own.
 
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use imrs_monitor::app::{App, Msg};
@@ -8,13 +9,13 @@ use imrs_monitor::theme::Theme;
 use imrs_wire::obs::{Delta, ServerFrame};
 use std::time::{Duration, Instant};
 
-/// Twelve nodes with four tasks of three ports each.
+/// A cell of twelve nodes with four tasks of three ports each.
 const CELL: Specimen = Specimen { nodes: 12, tasks: 4, ports: 3, queue_limit: 6 };
-/// The steps back that are timed.
+/// The number of steps back whose time is measured.
 const NEAR: usize = 50;
-/// The goal for the whole process.
+/// The greatest memory of the whole process, in bytes.
 const GOAL: usize = 64 << 20;
-/// What moving back may take beside that, and what may stay when it ends.
+/// The memory that moving back may take in addition, and that may stay after moving back ends, in bytes.
 const BACK: usize = 24 << 20;
 
 /// The resident anonymous memory of this process, in bytes.

@@ -1,4 +1,4 @@
-//! Tests of what the settings file changes: keys, columns and colours.
+//! Tests of the effects of the settings file: keys, columns and colours.
 
 use crate::common::{Stage, ms, text};
 use crossterm::event::KeyCode;
@@ -48,7 +48,7 @@ fn the_columns_are_those_of_the_settings_where_they_have_room() {
     assert_eq!(titles(many, 200).len(), 9);
     let shown = titles(many, 64);
     assert!(shown.len() > 2 && shown.len() < 9 && shown[1] == "STATE", "{shown:?}");
-    // The values stand below their titles.
+    // The values are below their titles.
     let shown = text(&with(few, Theme::ASCII).draw(NOW, 120, 30));
     let row = shown.lines().find(|line| line.contains("beat") && line.contains("3/8")).unwrap();
     let head = shown.lines().find(|line| line.contains("NODE/TASK/PORT")).unwrap();
@@ -69,7 +69,8 @@ fn own_colours_are_drawn_and_survive_a_change_of_theme() {
     assert!(has(&stage));
 }
 
-/// Every line of the window changes something, by the keyboard and by the mouse, and the screen behind it stays.
+/// Every line of the settings window changes a setting, by the keyboard and by the mouse, and the screen behind the
+/// window stays.
 #[test]
 fn the_window_of_settings_changes_each_of_them() {
     for theme in [Theme::COLOUR, Theme::ASCII] {
@@ -84,7 +85,7 @@ fn the_window_of_settings_changes_each_of_them() {
             match setting {
                 Setting::Theme => assert_eq!(effect, Effect::Theme),
                 Setting::Mouse => assert_eq!(effect, Effect::Mouse(false)),
-                // Without a mark there is nothing to count from: first it is set.
+                // Without a mark there is no start to count from, so a mark is set first.
                 Setting::SinceMark => drop(stage.key(NOW, KeyCode::Enter)),
                 _ => assert_eq!(effect, Effect::Draw),
             }

@@ -51,8 +51,7 @@ fn a_message_is_followed_from_its_birth_to_the_answer() {
     );
 }
 
-/// Each node's clock has its own origin, different from the monitor's. The transfer time between two nodes follows from
-/// the pings of both.
+/// Each node's clock has an origin of its own. The transfer time between two nodes follows from the pings of both nodes.
 #[test]
 fn what_passed_between_two_nodes_is_told_by_the_clocks_of_both() {
     let mut stage = Stage::cell(Theme::ASCII);
@@ -63,7 +62,7 @@ fn what_passed_between_two_nodes_is_told_by_the_clocks_of_both() {
         let mono_us = hour + echo_us + (1_050_000 - echo_us) / 2;
         stage.frame(ms(1_050), node, ServerFrame::Pong(Pong { echo_us, mono_us }));
     }
-    // Events at these moments of the monitor's clock, with the nodes' own times.
+    // Makes an event at this moment of the monitor's clock, with the time of the node's own clock.
     let seen = |node: usize, us: u64, what| TimedEvent {
         mono_us: hours[node] + us,
         task: Some(TaskId(node as u16)),
@@ -108,7 +107,7 @@ fn no_effect_stands_above_its_cause_though_its_clock_says_so() {
 }
 
 proptest! {
-    /// For any events, in any order, with any clocks.
+    /// Tests any events, in any order, with any clocks.
     #[test]
     fn the_timeline_is_causal(said in prop::collection::vec((0..3_usize, 0..12_usize, 0..3_u32, 0..9_u64), 0..80)) {
         let kinds = [
@@ -328,7 +327,7 @@ fn the_mouse_selects_opens_scrolls_and_sorts_and_can_be_off() {
     assert_eq!(mouse(&mut stage, MouseEventKind::ScrollDown, 0, 5), Effect::Nothing);
 }
 
-/// No resize has come, so only the drawn frame tells where its rows are and how many fit.
+/// The app has got no resize message, so only the drawn frame says where its rows are and how many have room.
 #[test]
 fn clicks_and_pages_fit_the_first_frame_whatever_its_size() {
     let click = MouseEventKind::Down(MouseButton::Left);
@@ -339,7 +338,7 @@ fn clicks_and_pages_fit_the_first_frame_whatever_its_size() {
         let last = drawn.lines().collect::<Vec<_>>().iter().rposition(|line| line.contains("halt")).unwrap();
         mouse(&mut stage, click, 10, u16::try_from(last).unwrap());
         assert_eq!(selected(&text(&stage.draw(NOW, width, height))), Some(last), "{width}x{height}");
-        // The help has lines for two of these screens.
+        // The help has enough lines for two screens of this height.
         stage.typed(NOW, (width, height), "?");
         stage.key(NOW, KeyCode::PageDown);
         assert!(height > 40 || stage.app.scroll == usize::from(height) - 3, "{width}x{height}");

@@ -1,4 +1,4 @@
-//! Tests of the timeline's rows: their times, and the lanes that do not fit.
+//! Tests of the timeline's rows: their times, and the lanes that have no room.
 
 use crate::common::crowd::CROWD_NOW;
 use crate::common::{BEAT, HALT, LIFT, Stage, at, events, left, ms, observed, snapshot};
@@ -24,7 +24,7 @@ fn times(shown: &str) -> Vec<i64> {
     shown.lines().skip(2).filter_map(time).collect()
 }
 
-/// The left arm's node restarts. Its earlier events are before its start, and no row is without a time.
+/// The left arm's node restarts. Rows of its earlier events have times before its start, and every row has a time.
 #[test]
 fn after_a_restart_times_go_on_and_are_negative_before_it() {
     let mut stage = Stage::cell(Theme::ASCII);
@@ -32,7 +32,7 @@ fn after_a_restart_times_go_on_and_are_negative_before_it() {
     stage.frame(ms(1_000), 0, ServerFrame::Events(at(0, &[sent(0), sent(1), sent(2)])));
     stage.lose(ms(1_020), 0);
     stage.attach(ms(1_500), 0, 2);
-    // The new incarnation started 400 ms before the snapshot, which was at 5,500 of the same clock.
+    // The new incarnation started 400 ms before the snapshot, which was taken at 5,500 ms of the same clock.
     let mut restarted = snapshot(0);
     (restarted.mono_us, restarted.uptime_us) = (5_500_000, 400_000);
     stage.frame(ms(1_500), 0, ServerFrame::Snapshot(restarted));
@@ -44,7 +44,7 @@ fn after_a_restart_times_go_on_and_are_negative_before_it() {
 }
 
 proptest! {
-    /// For any events with any clocks, seen from any lane, no row's time is before the time above it.
+    /// For any events with any clocks, and for any selected lane, no row's time is before the time of the row above.
     #[test]
     fn times_never_run_backwards(
         said in prop::collection::vec((0..3_usize, 0..8_usize, 0..3_u32, 0..9_u64), 1..30),
@@ -69,7 +69,7 @@ proptest! {
     }
 }
 
-/// Confirmations of a round are repeated. A repetition after the release is not what released.
+/// Confirmations of a round are repeated. A repetition that comes after the release is not its cause.
 #[test]
 fn a_later_repetition_is_no_cause() {
     let mut stage = Stage::cell(Theme::ASCII);
@@ -109,7 +109,7 @@ fn click(stage: &mut Stage, column: usize, row: usize) {
     stage.app.update(Msg::Mouse(MouseEvent { kind, column, row, modifiers: KeyModifiers::NONE }), NOW);
 }
 
-/// Events of a lane without room fold into one row; if one of them is bad, it is named.
+/// Rows with events only in lanes without room are combined into one row. If one of the events is bad, the row names it.
 #[test]
 fn what_happens_in_hidden_lanes_takes_one_row() {
     let mut stage = Stage::cell(Theme::ASCII);
@@ -127,7 +127,7 @@ fn what_happens_in_hidden_lanes_takes_one_row() {
     stage.frame(ms(1_000), 2, ServerFrame::Events(at(2, &bad)));
     let shown = stage.typed(NOW, (60, 50), "4");
     assert!(shown.contains("+15 elsewhere, hoist: x halt#13 timed out >"), "{shown}");
-    // With a lane chosen to the right, the hidden ones are to the left.
+    // If a lane further to the right is selected, the hidden lanes are to the left.
     stage.key(NOW, KeyCode::Right);
     let shown = stage.typed(NOW, (60, 50), "l");
     assert!(shown.contains("< +20 elsewhere"), "{shown}");
@@ -142,14 +142,14 @@ fn the_busiest_lanes_are_shown_first() {
         assert!(heads.contains(task), "{heads}");
     }
     assert!(heads.ends_with(">32"), "{heads}");
-    // All fit: the order is the cell's.
+    // All lanes have room, so they are in the order of the cell.
     let mut stage = Stage::busy(Theme::ASCII);
     let shown = stage.typed(NOW, (120, 30), "4");
     let heads = shown.lines().find(|line| line.contains("TIME")).unwrap();
     assert!(heads.find("armL").unwrap() < heads.find("hoist").unwrap(), "{heads}");
 }
 
-/// A row with events in sight says how many more there are in hidden lanes, and where.
+/// A row with visible events says how many more events are in hidden lanes, and on which side.
 #[test]
 fn a_row_marks_the_events_in_hidden_lanes() {
     let mut stage = Stage::cell(Theme::ASCII);

@@ -35,12 +35,12 @@ fn the_cursor_moves_within_the_line() {
     assert_eq!(line(&stage), "Port bea");
     stage.ctrl(NOW, 'w');
     assert_eq!(line(&stage), "Port ");
-    // The sign under the cursor is marked, and at the end there is a line.
+    // The character under the cursor is marked; at the end of the text the cursor is an underscore.
     assert!(foot(&mut stage, 80).starts_with(" :Port _"));
     press(&mut stage, &[KeyCode::Home]);
     let buffer = stage.draw(NOW, 80, 24);
     assert!(buffer[(2, 23)].modifier.contains(ratatui::style::Modifier::REVERSED));
-    // A filter that is opened again can be changed.
+    // When the user opens the filter again, the line begins with the filter.
     press(&mut stage, &[KeyCode::Esc]);
     stage.keys(NOW, "/bet\n/");
     press(&mut stage, &[KeyCode::Left, KeyCode::Char('a'), KeyCode::Enter]);
@@ -58,7 +58,7 @@ fn up_and_down_go_through_what_was_typed_before() {
     press(&mut stage, &[KeyCode::Down, KeyCode::Down]);
     assert_eq!(line(&stage), "no", "what was being typed comes back");
     press(&mut stage, &[KeyCode::Esc]);
-    // Filters and commands do not mix; while a filter of the history is shown, the rows follow it.
+    // Filters and commands have separate histories. While a filter of the history is shown, the rows follow it.
     stage.keys(NOW, "1/beat\n");
     press(&mut stage, &[KeyCode::Esc]);
     stage.keys(NOW, "/");
@@ -84,12 +84,12 @@ fn tab_completes_commands_names_and_fields() {
     assert_eq!(line(&stage), "port beat");
     press(&mut stage, &[KeyCode::Enter]);
     assert_eq!(stage.app.screen, Screen::Port);
-    // In a condition the word before the cursor is completed, and the rest stays.
+    // In a condition the word before the cursor is completed, and the text after the cursor stays.
     stage.keys(NOW, "1/len>2 and sla<9ms");
     press(&mut stage, &[KeyCode::Left, KeyCode::Left, KeyCode::Left, KeyCode::Left, KeyCode::Tab]);
     assert_eq!(line(&stage), "len>2 and slack<9ms");
     assert_eq!(stage.app.filter(), "len>2 and slack<9ms");
-    // Without a candidate nothing changes.
+    // If no word completes the text, nothing changes.
     press(&mut stage, &[KeyCode::Esc]);
     stage.keys(NOW, ":port qqq");
     press(&mut stage, &[KeyCode::Tab]);
@@ -124,7 +124,7 @@ fn what_is_wrong_is_said_while_it_is_typed() {
         assert!(foot(&mut stage, 160).contains(said), "{typed}: {}", foot(&mut stage, 160));
         press(&mut stage, &[KeyCode::Esc]);
     }
-    // What may still become right is not wrong.
+    // A text that is the beginning of a valid command is no error.
     for typed in ["", "po", "port", "port be", "theme co", "q"] {
         stage.keys(NOW, &format!(":{typed}"));
         assert_eq!(stage.app.slip(), None, "{typed}");

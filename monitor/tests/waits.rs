@@ -7,7 +7,7 @@ use imrs_protocol::{Event, MeetingState, TaskId, TaskState, Ticks};
 use imrs_wire::obs::{ServerFrame, Snapshot};
 use std::time::Duration;
 
-/// The right arm has not reached the lift, and has this state instead.
+/// The state of the right arm's node if that arm has not reached the lift, and is in this state instead.
 fn right(state: TaskState) -> Snapshot {
     let mut right = snapshot(1);
     let view = &mut right.tasks[0].view;
@@ -20,7 +20,7 @@ fn right(state: TaskState) -> Snapshot {
     right
 }
 
-/// Only the left arm waits for the lift.
+/// The state of the left arm's node if only that arm waits for the lift.
 fn left() -> Snapshot {
     let mut left = snapshot(0);
     left.tasks[0].view.meetings[0].members[1].arrived = false;
@@ -73,7 +73,7 @@ fn what_may_still_be_on_its_way_makes_none() {
     assert!(found.is_empty(), "the right arm has told nothing since: it may have taken the beat");
     told(&mut stage, 1);
     assert_eq!(cycles(stage.app.store(), &beam(), ms(3_500)).len(), 1, "the beat would have come by now");
-    // The states of a silent node are unknown.
+    // What the tasks of a silent node do is unknown.
     stage.frame(ms(4_600), 0, ServerFrame::Snapshot(left()));
     stage.frame(ms(4_600), 2, ServerFrame::Snapshot(snapshot(2)));
     assert!(cycles(stage.app.store(), &beam(), ms(4_650)).is_empty(), "the right arm's node is silent");

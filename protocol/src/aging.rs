@@ -1,8 +1,8 @@
 //! The longest time that a message waits for service, in closed form (D58, D59).
 //!
-//! The declaration of a task bounds how often GETs bypass the head of a port, and how often an offer is rejected by rank.
-//! The product of that number and the longest service is a bound: a message with a longer TTL is served. The model checker
-//! searches for the least TTL that is served and shows it beside the closed form, which must never be smaller.
+//! The declaration of a task bounds how often GETs bypass the first message of a port, and how often rank rejects an
+//! offered message. This number times the longest service bounds the wait: a message with a longer TTL is served. The model
+//! checker searches for the least TTL that is served and shows it beside the closed form, which must never be smaller.
 
 use crate::ticks::Ticks;
 
@@ -20,14 +20,14 @@ pub struct Service {
     /// How many earlier rejected messages may wait in other ports with a handler: the sum of the `bounded_buffer`s of
     /// those ports whose messages can be rejected. Only for ports with a handler.
     pub rivals: u16,
-    /// The longest time from one GET to the next. For ports with a handler: the longest time that the task or a
-    /// handler runs without a wait, a boundary or a return.
+    /// The longest time from one GET to the next. For ports with a handler: the longest time that the task or a handler
+    /// runs without a wait, a statement boundary or a return.
     pub longest: Ticks,
     /// The time penalty of the port; the cell's tick if it declares none. Only for ports with a handler.
     pub penalty: Ticks,
 }
 
-/// How many times the head of a port is bypassed before it goes first (D58).
+/// How many times the first message of a port is bypassed before the port is served first (D58).
 #[must_use]
 pub const fn bypass_limit(ports: u16, levels: u8) -> u16 {
     let each = ports.saturating_add(levels as u16);
@@ -35,8 +35,8 @@ pub const fn bypass_limit(ports: u16, levels: u8) -> u16 {
 }
 
 impl Service {
-    /// How often GETs over all ports can bypass the head of a port. Once it has reached the limit, all other ports
-    /// may still go before it, because they may have waited longer.
+    /// How often GETs over all ports can bypass the first message of a port. Once the port has reached its limit, every
+    /// other port may still be served before it once more, because its message may have waited longer.
     #[must_use]
     pub const fn most_bypasses(&self) -> u16 {
         bypass_limit(self.ports, self.levels).saturating_add(self.ports.saturating_sub(1))
@@ -59,8 +59,8 @@ impl Service {
     }
 
     /// A sufficient TTL for a message of a port with a handler. It assumes that handlers do not wait, and that the message
-    /// outranks the task's own thread only once it is capped, because no rank lies between the first one and that of `self`
-    /// (D76).
+    /// outranks the task's own thread only once it is capped, because no rank lies between the first rank and the rank of
+    /// `self` (D76).
     ///
     /// The message is rejected at most [`most_refusals`](Self::most_refusals) times. It is offered again each time when
     /// the penalty is over and the task can be interrupted. Then all earlier rejected messages of any port go before

@@ -150,7 +150,7 @@ pub struct UserDecl {
 }
 
 impl UserDecl {
-    /// A user that takes over all of the owner's options.
+    /// A user with the owner's value for every option.
     #[must_use]
     pub const fn new(task: TaskId) -> Self {
         Self { task, time_out: None, class: None, format: None, retry: None, rate: None }
@@ -327,13 +327,13 @@ pub struct Cell {
     pub name: String,
     /// The declared timer lateness: a node acts on a time_out at most this late (D42).
     pub tick: Ticks,
-    /// The nodes; [`NodeId`] is the position here.
+    /// The nodes; [`NodeId`] is the position in this list.
     pub nodes: Vec<NodeDecl>,
     /// The links of the cell.
     pub links: Vec<LinkDecl>,
-    /// The tasks; [`TaskId`] is the position here.
+    /// The tasks; [`TaskId`] is the position in this list.
     pub tasks: Vec<TaskDecl>,
-    /// The ports; [`PortId`] is the position here.
+    /// The ports; [`PortId`] is the position in this list.
     pub ports: Vec<PortDecl>,
     /// The work-coupled pairs.
     pub couples: Vec<CoupleDecl>,

@@ -35,7 +35,7 @@ const fn slot(word: u64) -> Slot {
 }
 
 impl Index {
-    /// An index for `capacity` keys. It allocates only here.
+    /// An index for `capacity` keys. No other function of the index allocates.
     pub fn new(capacity: u16) -> Self {
         let places = (usize::from(capacity) * 2).next_power_of_two().max(2);
         Self { places: vec![EMPTY; places].into_boxed_slice(), shift: u32::BITS - places.trailing_zeros() }

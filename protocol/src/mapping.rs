@@ -25,7 +25,7 @@ pub(crate) fn destinations(
 ) -> Result<impl Iterator<Item = (usize, TaskId)> + '_, Fault> {
     let wanted = match to {
         Target::All => None,
-        // A message to one peer has been handled by `only_peer`, so this task is no peer.
+        // `only_peer` has handled a message to one peer, so the target named here is no peer.
         Target::One(_) => return Err(Fault::NotAPeer),
         Target::Some(named) => Some(named),
     };

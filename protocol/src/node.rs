@@ -37,7 +37,7 @@ pub enum NodeInput {
     Request(TaskId, Request),
     /// A packet came in over a link.
     Packet {
-        /// The neighbour that handed it over.
+        /// The neighbour that sent the packet over the link.
         from: NodeId,
         /// The packet.
         packet: Packet,
@@ -50,12 +50,12 @@ pub enum NodeInput {
 
 /// Where the effects of a node go.
 pub trait NodeOutbox {
-    /// Whether the link to the succeeding node takes a packet now. If not, packets stay in the transit buffer.
+    /// Whether the link to the neighbour `next` takes a packet now. If not, packets stay in the transit buffer.
     fn ready(&mut self, next: NodeId) -> bool {
         let _ = next;
         true
     }
-    /// Sends a packet to the succeeding node.
+    /// Sends a packet to the neighbour `next`.
     fn link(&mut self, next: NodeId, packet: Packet);
     /// Answers a task.
     fn signal(&mut self, task: TaskId, signal: Signal);
@@ -68,13 +68,13 @@ pub trait NodeOutbox {
 /// The parts of a node, for a driver that puts them behind several locks.
 #[derive(Clone, Debug)]
 pub struct Parts {
-    /// The table.
+    /// The node's table of the cell.
     pub table: NodeTable,
     /// The communication tasks, ascending by task.
     pub tasks: Box<[CommTask]>,
-    /// The transit buffer.
+    /// The node's transit buffer.
     pub transit: Transit,
-    /// The Timer.
+    /// The node's Timer.
     pub timer: Timer,
 }
 
@@ -82,8 +82,8 @@ pub struct Parts {
 #[derive(Clone, Debug)]
 pub struct Node {
     parts: Parts,
-    /// The time of the last input. The parts have clocks of their own, which may differ: they stand still unless
-    /// [`counts`](Self::counts) holds.
+    /// The time of the last input. The parts have clocks of their own, which may show an earlier time: they stand still
+    /// unless [`counts`](Self::counts) holds.
     now: Instant,
     /// Pending effects within the node, in order. Empty after each [`step`](Self::step).
     work: VecDeque<Work>,
@@ -107,19 +107,19 @@ impl Node {
         Self { parts, now: Instant::START, work: VecDeque::with_capacity(room) }
     }
 
-    /// Its parts.
+    /// Takes the node apart into its parts.
     #[must_use]
     pub fn into_parts(self) -> Parts {
         self.parts
     }
 
-    /// Its parts, read-only.
+    /// The node's parts, read-only.
     #[must_use]
     pub const fn parts(&self) -> &Parts {
         &self.parts
     }
 
-    /// Its parts, for code that packs, reads or rebases states.
+    /// The node's parts, for code that packs or reads states, or shifts their times.
     pub const fn parts_mut(&mut self) -> &mut Parts {
         &mut self.parts
     }
@@ -144,7 +144,8 @@ impl Node {
                 self.step(now, NodeInput::Time, out);
             }
             if self.fuse(*task, request, out) {
-                // Its packets never come to the transit buffer, but a link may take others by now.
+                // The packets of a fused step never come to the transit buffer, but a link may by now take packets that
+                // wait there.
                 if !self.parts.transit.is_empty() {
                     self.flush(out);
                 }
@@ -241,7 +242,8 @@ impl Node {
 
     fn pass(&mut self, now: Instant, out: &mut impl NodeOutbox) {
         let Some(elapsed) = self.begin_time(now, out) else { return };
-        // Time passes in all tasks before any of their packets is delivered: a message must not be charged for time before it.
+        // Time passes in all tasks before any of their packets is delivered: a message must not be charged for time before
+        // it was sent.
         let Parts { table, tasks, .. } = &mut self.parts;
         for task in tasks {
             let effects = &mut TaskEffects { task: task.task(), work: &mut self.work, out };
@@ -258,7 +260,7 @@ impl Node {
         if !self.counts() {
             return None;
         }
-        // The transit buffer first: a task whose time_out ends now must know whether its packet ever left.
+        // Time passes in the transit buffer first: a task whose time_out ends now must know whether its packet ever left.
         self.with_transit(out, |transit, table, effects| {
             transit.advance(table, transit.now() + elapsed, effects);
         });
@@ -294,7 +296,7 @@ impl Node {
         }
     }
 
-    /// Advances the own clock of the task at a position by `elapsed`, then hands it the input.
+    /// Advances the clock of the task at position `place` by `elapsed`, then hands it the input.
     fn hand_at(&mut self, place: usize, elapsed: Ticks, input: &Input, out: &mut impl NodeOutbox) {
         let comm_task = &mut self.parts.tasks[place];
         let effects = &mut TaskEffects { task: comm_task.task(), work: &mut self.work, out };

@@ -149,7 +149,7 @@ pub enum Event {
 pub struct Observation {
     /// What happened.
     pub event: Event,
-    /// The port on which it happened; [`PortId::NONE`] for the end of a timer and of a handler.
+    /// The port on which the event happened; [`PortId::NONE`] for the end of a timer and of a handler.
     pub port: PortId,
     /// The other task that was involved; at the end of a timer or of a handler, the task itself.
     pub peer: TaskId,
@@ -271,7 +271,7 @@ pub struct PortView {
 /// separate things (D4).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct HeldView {
-    /// The message that the server holds.
+    /// The waiting message.
     pub entry: QueueEntry,
     /// The message's arrival number among all messages that the task stored: a lower one arrived earlier. In a task that was
     /// read from packed bytes, only the numbers of messages of one source and port can be compared.

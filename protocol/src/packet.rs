@@ -85,7 +85,7 @@ pub enum Class {
 /// What a [`Kind::Control`] packet says about the request whose id it carries. Code 3 is reserved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Control {
-    /// The destination found no space for the message; it will not run (D21).
+    /// The destination found no space for the message; the task never sees the message (D21).
     Refused,
     /// A transit buffer on the route found no space for this copy; another copy may still arrive (D19).
     RefusedOnTheWay,
@@ -226,11 +226,11 @@ pub struct Packet {
 
 /// The end-to-end checksum with which a packet arrived over a link; empty for a packet that this node made.
 ///
-/// A relay forwards it unchanged. A recomputed checksum would also cover bits that flipped in the relay's memory, and the
-/// destination would accept the damage (D154).
+/// A relay forwards the checksum unchanged. A recomputed checksum would also cover bits that flipped in the relay's memory,
+/// and the destination would accept the damage (D154).
 ///
-/// Comparisons ignore it: packets that differ only in their seals are equal, hash alike and pack into the same bytes of a
-/// state. The checker makes all packets itself, so its states hold no seals.
+/// Comparisons of packets ignore the seal: packets that differ only in their seals are equal, hash alike and pack into the
+/// same bytes of a state. The checker makes all packets itself, so its states hold no seals.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Seal(
     /// The checksum. A checksum of zero counts as absent and is recomputed, which happens about once in 2^32 packets.
@@ -348,7 +348,7 @@ impl Packet {
         b
     }
 
-    /// The packet that `b` holds. `port_hash` looks up the hash of a port of this cell.
+    /// The packet in the bytes `b`. `port_hash` looks up the hash of a port of this cell.
     ///
     /// # Errors
     /// Says why the bytes are not a packet of this cell. Never panics, whatever the bytes are.

@@ -9,7 +9,7 @@ use crate::ticks::Ticks;
 use core::fmt;
 use serde::{Deserialize, Serialize};
 
-/// Greatest length of what a task publishes to its partner, in bytes: the heartbeats' answers carry it (D61, D78).
+/// Greatest length of what a task publishes to its partner, in bytes: answers to heartbeats carry it (D61, D78).
 pub const PUBLISHED_BYTES: usize = 8;
 
 /// The receivers of a message.
@@ -45,11 +45,11 @@ pub enum Request {
     /// One further fragment of the next SEND or REPLY on this port, if its format takes more than one packet. The
     /// request itself carries fragment 0. Answered by [`Signal::Accepted`] (D28).
     Part {
-        /// The port.
+        /// The port of the message.
         port: PortId,
         /// The position of the fragment, from 1.
         index: u8,
-        /// The fragment.
+        /// The contents of the fragment.
         contents: Contents,
     },
     /// GET: takes the most urgent message of one port, or of all ports of the task that have no handler. Answered by
@@ -66,14 +66,14 @@ pub enum Request {
     /// the execution budget has ended. On a port with usage `reply` it answers a message that another task received:
     /// `to` then has this port, and the source and id of that message (D11).
     Reply {
-        /// The message: the `from` of its [`Delivery`].
+        /// The answered message: the `from` of its [`Delivery`].
         to: ReplyTo,
         /// The answer.
         contents: Contents,
     },
     /// ARRIVE at a `waitfor` (§4.3). Answered by [`Signal::Released`] or [`Signal::GaveUp`].
     Arrive {
-        /// The port.
+        /// The port of the `waitfor`.
         port: PortId,
         /// Bytes for the other members.
         arguments: [u8; 8],
@@ -106,7 +106,7 @@ pub enum Request {
         /// After which time the timer ends.
         length: Ticks,
     },
-    /// Stops a timer. If it has ended and no handler has begun for it, none will. Answered by [`Signal::Accepted`].
+    /// Stops a timer. If its handler has not begun yet, the handler never begins. Answered by [`Signal::Accepted`].
     Stop {
         /// The name of the timer.
         id: TimeId,
@@ -232,7 +232,7 @@ impl ServiceOrder {
 /// Identifies a received message for a reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct ReplyTo {
-    /// The port it came through.
+    /// The port through which the message came.
     pub port: PortId,
     /// The sender of the received message.
     pub source: TaskId,
@@ -369,7 +369,7 @@ pub enum Signal {
     Outcome(Outcome),
     /// A class-2 message to several tasks ended: every task has answered, refused or restarted, or the time_out ended.
     Answers {
-        /// The port.
+        /// The port of the message.
         port: PortId,
         /// The outcome for each task.
         answers: Answers,
@@ -384,7 +384,7 @@ pub enum Signal {
     Nothing,
     /// All members of the rendezvous have arrived.
     Released {
-        /// The port.
+        /// The port of the rendezvous.
         port: PortId,
         /// The round: the same for all members that are released together.
         round: Round,
@@ -393,7 +393,7 @@ pub enum Signal {
     },
     /// An ARRIVE ended without a release.
     GaveUp {
-        /// The port.
+        /// The port of the rendezvous.
         port: PortId,
         /// The round in which the task waited.
         round: Round,
@@ -402,6 +402,6 @@ pub enum Signal {
     },
     /// The delay of this name is over.
     TimeOut(TimeId),
-    /// The wait was cancelled, or all waits were.
+    /// The cancelled wait, or all waits, have ended.
     Cancelled,
 }

@@ -15,18 +15,18 @@ use crate::ticks::Ticks;
 pub enum Arrival {
     /// The packet is for this task of this node.
     Local(TaskId, Packet),
-    /// It is for another node and goes into the transit buffer.
+    /// The packet is for another node and goes into the transit buffer.
     Relay(Packet),
     /// The packet is dropped, for this reason.
     Discard(Reason, Packet),
 }
 
-/// Where a packet that a task of this node sends goes.
+/// Where a packet of a task of this node goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Departure {
     /// To a task of this node.
     Local(TaskId),
-    /// Over the link to this succeeding node.
+    /// Over the link to this neighbour.
     Link(NodeId),
     /// Nowhere: the table has no route.
     Unroutable,
@@ -49,7 +49,7 @@ pub fn arrived(table: &NodeTable, from: NodeId, mut packet: Packet, charge: Tick
     }
     if table.rules().time_stamp == TimeStamp::Remaining {
         packet.remaining = packet.remaining - charge;
-        // Only the variant that accepts late replies lets a reply outlive its request.
+        // Only the variant that accepts late replies accepts a reply after its request has ended.
         let outlives =
             matches!(packet.kind, Kind::Reply | Kind::Response) && !table.rules().refuse_late_replies;
         // At its destination node an expired message goes to its task, which drops it and counts it at the port.
@@ -68,7 +68,7 @@ pub fn arrived(table: &NodeTable, from: NodeId, mut packet: Packet, charge: Tick
     Arrival::Relay(packet)
 }
 
-/// The succeeding node of a packet.
+/// The neighbour to which a packet goes next.
 #[must_use]
 pub fn departing(table: &NodeTable, packet: &Packet) -> Departure {
     match table.location(packet.destination) {

@@ -1,20 +1,21 @@
 //! The rules of the protocol that have variants.
 //!
-//! Each default is the reading that was decided on. The other variants are literal or naive readings, for which the
-//! model checker finds a shortest counterexample. Cells run [`Rules::DEFAULT`], or [`Rules::PAPER`] on request.
+//! The default of each rule is the reading of the paper that was decided on. The other variants are literal or naive
+//! readings, for which the model checker finds a shortest counterexample. Cells run [`Rules::DEFAULT`], or [`Rules::PAPER`]
+//! on request.
 
 use serde::{Deserialize, Serialize};
 
 /// The members of a rendezvous that send CONFIRM. §4.3 can be read in three ways; a fourth is to send none (D1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Confirmation {
-    /// No member sends it.
+    /// No member sends CONFIRM.
     None,
-    /// A member sends it if it holds all arrivals before it hears of another member that does.
+    /// A member sends CONFIRM if it holds all arrivals before it hears of another member that does.
     FirstComplete,
-    /// Every member that holds all arrivals sends it, even if a CONFIRM has already released that member.
+    /// Every member that holds all arrivals sends CONFIRM, even if a CONFIRM has already released that member.
     EveryComplete,
-    /// Every released member sends it, however it was released.
+    /// Every released member sends CONFIRM, whether all arrivals or a CONFIRM released it.
     PassOn,
 }
 
@@ -42,18 +43,18 @@ pub enum Memory {
 /// The effect of a rejection by rank on a message, besides the port's time penalty (§5.1.1, D4, D58).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Aging {
-    /// Each rejection raises the message by one rank, and heads of ports that were bypassed too often go first.
+    /// Each rejection raises the message by one rank. A port that was bypassed too often is served first.
     Bounded,
     /// A rejection has no effect, so a message may be rejected and bypassed for ever.
     Off,
-    /// Heads of ports that were bypassed too often go first, but rejections do not count.
+    /// A port that was bypassed too often is served first, but rejections do not count.
     Unbounded,
 }
 
 /// The message that a full transit buffer evicts (D60).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Eviction {
-    /// Evict status messages before commands, and the least urgent among them.
+    /// Evict status messages before commands, the least urgent status first.
     ByClass,
     /// Evict the least urgent message, whatever its class.
     ByTime,
@@ -62,9 +63,10 @@ pub enum Eviction {
 /// How the primary of a couple renews its lease (D30, D61).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum LeaseRule {
-    /// The primary renews it by heartbeats that echo one of its answers. The lease counts from the sending of that answer.
+    /// The primary renews its lease by heartbeats that echo one of its answers. The lease counts from the sending of that
+    /// answer.
     Echoed,
-    /// The primary renews it by any heartbeat. The lease counts from the arrival of that heartbeat.
+    /// The primary renews its lease by any heartbeat. The lease counts from the arrival of that heartbeat.
     Heartbeat,
 }
 
@@ -73,7 +75,7 @@ pub enum LeaseRule {
 pub enum JobRequest {
     /// The Timer accepts a job at any time: JOB_REQUEST is a standing offer.
     Standing,
-    /// The Timer waits for every busy task before it counts on.
+    /// The Timer waits for every busy task before the Timer counts on.
     Blocking,
 }
 
@@ -84,18 +86,18 @@ pub struct Rules {
     pub confirmation: Confirmation,
     /// Whether meetings are numbered (D3).
     pub rounds: bool,
-    /// Whether a member joins a fresher round that it hears of. If not, it only counts its own attempts (D54).
+    /// Whether a member joins a fresher round that it hears of. If not, the member only counts its own attempts (D54).
     pub join_fresher: bool,
     /// Whether an ARRIVE carries the round from which its sender was last released (D54).
     pub last_released: bool,
     /// Whether a late ARRIVE is answered: by CONFIRM if its round is the one from which the receiver was last released, by
-    /// ABORT if its round is older. If not, the receiver drops it, as in the literal reading of §4.3 (D54, D55).
+    /// ABORT if the round is older. If not, the receiver drops it, as in the literal reading of §4.3 (D54, D55).
     pub answer_late_arrivals: bool,
     /// Whether a member that gives up sends ABORT, so that the others go on in a fresher round (D2, D54).
     pub aborts: bool,
     /// Whether the time that a message spends in a buffer is subtracted from its TTL (§5.1.1).
     pub charge_residence: bool,
-    /// Whether the sender drops a reply that comes after its time_out (§4.1).
+    /// Whether the sender drops a reply that comes after the time_out of its request (§4.1).
     pub refuse_late_replies: bool,
     /// Whether the link delay of the reply is subtracted from the receiver's execution budget (D18).
     pub reserve_way_back: bool,

@@ -1,6 +1,6 @@
-//! The static table of a cell: ports, locations and a priori routes (§III, §5.2.2, §5.2.3). It is made from a [`Cell`]
-//! and passed into every call. It is never part of a machine's state. Of a running node it may be replaced by one whose routes
-//! differ ([`CellTable::around`], D184).
+//! The static table of a cell: ports, locations and a priori routes (§III, §5.2.2, §5.2.3). It is made from a [`Cell`] and
+//! passed into every call. It is never part of a machine's state. The table of a running node may be replaced by one with
+//! other routes ([`CellTable::around`], D184).
 
 mod check;
 mod couples;
@@ -37,7 +37,7 @@ pub struct CellTable {
     ports: Box<[Port]>,
     digest: u32,
     epoch: u32,
-    /// What the routes go around.
+    /// The links and nodes that the routes avoid.
     avoid: Avoid,
     /// For each pair of nodes (from, to), row by row: the next node of the route, and the sum of its links'
     /// bounds.
@@ -53,7 +53,7 @@ pub struct CellTable {
 }
 
 impl CellTable {
-    /// Checks a cell and computes what its nodes need.
+    /// Checks a cell and computes the table that its nodes need.
     ///
     /// # Errors
     /// Every fault that was found, in the order of the declarations.
@@ -61,9 +61,9 @@ impl CellTable {
         Self::compile(cell, Avoid::default())
     }
 
-    /// The table of the same cell at another epoch. Its routes go around what `avoid` names wherever the cell has another route,
-    /// and keep to it elsewhere. All positions are those of this table, and so is the digest: nodes of both epochs talk to each
-    /// other. A running node takes the table by [`Node::replace_table`](crate::Node::replace_table) if its epoch is later (D184).
+    /// The table of the same cell at another epoch. Its routes avoid the links and nodes that `avoid` names, wherever the
+    /// cell has another route. Positions and digest are those of this table, so nodes of both epochs talk to each other. A
+    /// running node takes the table by [`Node::replace_table`](crate::Node::replace_table) if its epoch is later (D184).
     ///
     /// # Errors
     /// Each declared time that does not cover a longer route, and each node of `avoid` that the cell does not have.
@@ -138,12 +138,12 @@ impl CellTable {
         Ok(table)
     }
 
-    /// Whether the cell runs [`Rules::DEFAULT`]. Fused steps know no others.
+    /// Whether the cell runs [`Rules::DEFAULT`]. Fused steps exist for these rules only.
     pub(crate) const fn is_decided(&self) -> bool {
         self.decided
     }
 
-    /// The declarations.
+    /// The declarations of the cell.
     #[must_use]
     pub const fn cell(&self) -> &Cell {
         &self.cell
@@ -155,13 +155,14 @@ impl CellTable {
         self.digest
     }
 
-    /// Which of the cell's tables this is: 0 for that of [`new`](Self::new). A later one replaces it in running nodes (D184).
+    /// Which of the cell's tables this is: 0 for that of [`new`](Self::new). In running nodes a table of a later epoch
+    /// replaces this one (D184).
     #[must_use]
     pub const fn epoch(&self) -> u32 {
         self.epoch
     }
 
-    /// What the routes go around.
+    /// The links and nodes that the routes avoid.
     #[must_use]
     pub const fn avoided(&self) -> &Avoid {
         &self.avoid
@@ -197,13 +198,13 @@ impl CellTable {
         tasks.filter(move |(_, t)| t.node == node).map(|(i, _)| TaskId::from_index(i))
     }
 
-    /// The succeeding node for packets at `from` that go to `to` (§5.2.3).
+    /// The neighbour to which `from` sends packets for `to` (§5.2.3).
     #[must_use]
     pub fn next_hop(&self, from: NodeId, to: NodeId) -> Option<NodeId> {
         self.hop(from, to).map(|h| h.next)
     }
 
-    /// The nodes that packets from one node to another pass, both included.
+    /// The nodes that packets from one node to another pass, both of these nodes included.
     pub(crate) fn path(&self, from: NodeId, to: NodeId) -> impl Iterator<Item = NodeId> + '_ {
         let next = move |&node: &NodeId| self.next_hop(node, to).filter(|_| node != to);
         core::iter::successors(Some(from), next).take(usize::from(MAX_HOPS) + 2)
@@ -215,8 +216,8 @@ impl CellTable {
         if from == to { Some(Ticks::ZERO) } else { self.hop(from, to).map(|h| h.bound) }
     }
 
-    /// [`path_bound`](Self::path_bound) between the nodes of two tasks. The table has checked that tasks of one port
-    /// reach each other; between others it may be [`Ticks::FAR`].
+    /// [`path_bound`](Self::path_bound) between the nodes of two tasks. The table has checked that tasks of one port reach
+    /// each other; between tasks without a common port it may be [`Ticks::FAR`].
     #[must_use]
     pub fn bound_between(&self, from: TaskId, to: TaskId) -> Ticks {
         let bound = self.location(from).zip(self.location(to)).and_then(|(a, b)| self.path_bound(a, b));

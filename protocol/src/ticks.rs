@@ -1,7 +1,7 @@
 //! Time in machine ticks: durations, and instants on one clock.
 //!
-//! The machine only compares times, adds and subtracts them. A checker may therefore run it on *symbolic* times: differences of
-//! variables whose values it does not fix ([`symbolic`]). `number` holds the operations on both forms.
+//! The state machine only compares times, adds and subtracts them. So a checker may run the machine on *symbolic* times:
+//! differences of variables whose values it does not fix ([`symbolic`]). `number` holds the operations on both forms.
 
 mod number;
 #[cfg(feature = "checker")]
@@ -63,7 +63,7 @@ pub struct Instant(pub u64);
 impl Instant {
     /// The first instant of the clock.
     pub const START: Self = Self(0);
-    /// An instant later than every one that a clock reaches.
+    /// An instant later than all instants that a clock reaches.
     pub const NEVER: Self = Self(u64::MAX);
 }
 
@@ -156,8 +156,8 @@ impl Sub<Ticks> for Instant {
     }
 }
 
-/// The duration from an earlier instant to this one. It is zero if that instant is not earlier, and [`Ticks::FAR`] if this
-/// one is [`Instant::NEVER`].
+/// The duration from an earlier instant to this one. The duration is zero if that instant is not earlier, and
+/// [`Ticks::FAR`] if this instant is [`Instant::NEVER`].
 impl Sub for Instant {
     type Output = Ticks;
     fn sub(self, earlier: Self) -> Ticks {

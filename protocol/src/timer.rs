@@ -1,8 +1,8 @@
 //! The Timer of a node, which counts the delays and timers of the node's tasks (Figure 3, §5.1.2).
 //!
-//! Its JOB_REQUEST is a standing offer: a task arms an entry when it wants one, and the Timer never waits for a busy
-//! task (D22). The communication tasks' own time_outs need no entry (D41). Arming and disarming cost O(log n), or
-//! O(1) for an entry that is soon disarmed (D123). The end of k entries costs O(k log n), and waiting costs nothing.
+//! The Timer's JOB_REQUEST is a standing offer: a task arms an entry at any time, and the Timer never waits for a busy task
+//! (D22). The time_outs that communication tasks count themselves need no entry (D41). Arming and disarming cost O(log n),
+//! or O(1) for an entry that is soon disarmed (D123). The end of k entries costs O(k log n), and waiting costs nothing.
 
 mod entries;
 #[cfg(feature = "checker")]
@@ -35,8 +35,8 @@ impl Timer {
         Self { now: Instant::START, armed: 0, fresh: Fresh::NONE, queue, index }
     }
 
-    /// Arms an entry, in place of one of the same owner and id. Returns false if the Timer is full. When the entry ends, the
-    /// Timer returns `turn`, by which the owner recognises entries that it has restarted since.
+    /// Arms an entry. It replaces an entry of the same owner and id. Returns false if the Timer is full. When the entry
+    /// ends, the Timer returns `turn`. The owner compares it, to recognise an entry that it has restarted since.
     pub fn arm(&mut self, owner: TaskId, id: TimeId, turn: u8, length: Ticks) -> bool {
         let (expires, armed) = (self.now + length, self.armed);
         self.armed += 1;
@@ -65,8 +65,8 @@ impl Timer {
         self.queue.len() + self.fresh.iter().count() >= self.queue.capacity()
     }
 
-    /// Moves one of the recently armed entries into the queue. Returns its place among them, which is now free; `None` if
-    /// the Timer is full.
+    /// Moves one of the recently armed entries into the queue. Returns its place among these entries, which is now free;
+    /// `None` if the Timer is full.
     #[inline(never)]
     fn settle_one(&mut self) -> Option<usize> {
         if self.is_full() {
@@ -83,7 +83,7 @@ impl Timer {
         Some(at)
     }
 
-    /// Removes an entry. Returns false if there is none.
+    /// Removes an entry. Returns false if there is no such entry.
     pub fn disarm(&mut self, owner: TaskId, id: TimeId) -> bool {
         let name = name(owner, id);
         if let Some(at) = self.fresh.find(name) {
@@ -110,7 +110,7 @@ impl Timer {
         true
     }
 
-    /// Moves the clock on to `now`, unless it was later; removes and reports every entry that has ended, earliest first.
+    /// Moves the clock forward to `now`, and never back. Removes and reports every entry that has ended, earliest first.
     pub fn advance(&mut self, now: Instant, mut due: impl FnMut(TaskId, TimeId, u8)) {
         self.now = self.now.max(now);
         while let Some(entry) = self.pop_over() {
@@ -118,7 +118,7 @@ impl Timer {
         }
     }
 
-    /// Removes the first entry if it has ended.
+    /// Removes the entry that ends first, if it has ended.
     fn pop_over(&mut self) -> Option<Entry> {
         let settled = self.queue.first().map(|(_, entry)| entry).filter(|entry| entry.expires <= self.now);
         if self.fresh.end() <= self.now

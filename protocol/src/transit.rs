@@ -1,9 +1,9 @@
 //! The transit buffer and message scheduling of the route layer (§5.1.1, §5.2.3), one per node. Whenever a link is ready,
-//! [`Transit::next`] takes out the packet with the smallest remaining time. Packets that can no longer arrive in time are
-//! removed here, so that they delay no others (D83). While n packets wait, each operation costs O(log n). Linear searches
-//! happen only while the link of the most urgent packet is busy, or when a full buffer must evict.
+//! [`Transit::next`] takes out the packet with the smallest remaining time. The buffer removes packets that can no longer
+//! arrive in time, so that they delay no other packets (D83). While n packets wait, each operation costs O(log n). Linear
+//! searches happen only while the link of the most urgent packet is busy, or when a full buffer must evict.
 //!
-//! Refusals (D19) wait in a small queue of their own. If they shared the room of messages, a full buffer could not report
+//! Refusals (D19) wait in a small queue of their own. If they shared the space of messages, a full buffer could not report
 //! that it is full, or would drop one command to report on another (D79).
 
 #[cfg(feature = "checker")]
@@ -21,7 +21,7 @@ use alloc::vec::Vec;
 
 /// The receiver of the transit buffer's effects.
 pub trait RouteOutbox {
-    /// Tells a task of this node that a copy of its request was dropped before it left.
+    /// Tells a task of this node that a copy of its request was dropped before the copy left the node.
     fn unsent(&mut self, task: TaskId, id: MessageId);
     /// Hands a packet to the route layer: a refusal for the source of a command.
     fn transmit(&mut self, packet: Packet);
@@ -35,7 +35,8 @@ pub trait RouteOutbox {
 struct Waiting {
     packet: Packet,
     expires: Instant,
-    /// The instant from which on the packet cannot arrive in time: its deadline less the bounds of the links ahead (D20).
+    /// The instant from which on the packet cannot arrive in time: the packet's deadline less the bounds of the links ahead
+    /// (D20).
     leave_by: Instant,
     arrival: u64,
     next: NodeId,
@@ -68,7 +69,7 @@ pub struct Transit {
     now: Instant,
     arrivals: u64,
     queue: Queue<Waiting>,
-    /// The refusals that wait to leave, for the sources of commands.
+    /// The refusals for sources of commands that wait in this buffer to leave.
     words: Queue<Waiting>,
     forwarded: u64,
     discarded: [u64; Reason::ALL.len()],
@@ -106,9 +107,9 @@ impl Transit {
         self.queue.len() == self.queue.capacity()
     }
 
-    /// Stores a packet, or drops it if it can no longer arrive in time. In a full buffer a command evicts the status message
-    /// with most time left. Otherwise a newcomer evicts the least urgent packet of its own class if it is more urgent, and is
-    /// refused if not (D60).
+    /// Stores a packet, or drops it if it can no longer arrive in time. In a full buffer a command evicts the status
+    /// message with most time left. Otherwise a newcomer evicts the least urgent packet of its own class if the newcomer is
+    /// more urgent; if not, the newcomer is refused (D60).
     pub fn offer(&mut self, table: &NodeTable, packet: Packet, out: &mut impl RouteOutbox) {
         let Some(way) = table.way_to(packet.destination) else {
             return self.discard(table, &packet, Reason::Unroutable, out);
@@ -118,7 +119,7 @@ impl Transit {
             return self.discard(table, &packet, Reason::ExpiredInTransit, out);
         }
         if packet.control() == Some(Control::RefusedOnTheWay) && packet.kind == Kind::Control {
-            // If there is no room, the refusal is dropped; its command then ends with its time_out (D66).
+            // If there is no room, the refusal is dropped, and the refused command ends with its time_out (D66).
             if self.words.push(waiting).is_err() {
                 self.discard(table, &packet, Reason::Refused, out);
             }
@@ -137,7 +138,7 @@ impl Transit {
     }
 
     /// [`offer`](Self::offer) and [`next`](Self::next) in one: if the buffer is empty and the link is ready, the packet
-    /// leaves without being queued. Otherwise it is offered.
+    /// leaves without being queued. Otherwise the packet is offered.
     pub fn pass(
         &mut self,
         table: &NodeTable,
@@ -162,7 +163,7 @@ impl Transit {
     /// The stored packet that is evicted for a newcomer; `None` if the newcomer is refused.
     fn victim(&mut self, table: &NodeTable, newcomer: &Waiting) -> Option<Slot> {
         if table.rules().eviction == Eviction::ByTime {
-            // Under the literal reading of §III, time_out alone decides.
+            // Under the literal reading of §III, the time_out alone decides which packet is evicted.
             let (slot, least_urgent) = self.queue.iter().max_by_key(|(_, waiting)| waiting.key())?;
             return (least_urgent.key() > newcomer.key()).then_some(slot);
         }
@@ -183,12 +184,12 @@ impl Transit {
         Waiting { packet, expires, leave_by, arrival, next: way.next }
     }
 
-    /// Sends all waiting packets by the routes of `table`, which replaced another one. Those that cannot arrive in time by their
-    /// new routes are dropped.
+    /// Sends all waiting packets by the routes of `table`, which replaced another table. Packets that cannot arrive in time
+    /// by their new routes are dropped.
     pub fn reroute(&mut self, table: &NodeTable, out: &mut impl RouteOutbox) {
         for queue in [&mut self.queue, &mut self.words] {
             queue.change_all(|waiting, ()| {
-                // Both tables reach the same tasks.
+                // This never returns, because both tables reach the same tasks.
                 let Some(way) = table.way_to(waiting.packet.destination) else { return };
                 waiting.next = way.next;
                 waiting.leave_by = leave_by(table, &waiting.packet, waiting.expires, way);
@@ -217,7 +218,7 @@ impl Transit {
         }
     }
 
-    /// Takes out the most urgent packet whose link is ready, with its residence here charged.
+    /// Takes out the most urgent packet whose link is ready, and charges its residence in this buffer.
     pub fn next(&mut self, mut ready: impl FnMut(NodeId) -> bool) -> Option<(NodeId, Packet)> {
         if self.is_empty() {
             return None;
@@ -226,8 +227,8 @@ impl Transit {
         let word = open(&self.words, &mut ready);
         let waiting = match (message, word) {
             (None, None) => return None,
-            // If both are equally urgent, the refusal goes first, because packed states do not record which of the two
-            // arrived first.
+            // If the refusal and the message are equally urgent, the refusal goes first, because packed states do not
+            // record which of the two arrived first.
             (message, Some((expires, slot))) if message.is_none_or(|(other, _)| expires <= other) => {
                 self.words.remove(slot)?
             }
@@ -237,7 +238,7 @@ impl Transit {
         Some((waiting.next, waiting.left(self.now)))
     }
 
-    /// The time of the last `advance`.
+    /// The buffer's clock: the time of the last `advance`.
     #[must_use]
     pub const fn now(&self) -> Instant {
         self.now
@@ -261,7 +262,7 @@ impl Transit {
         self.words.sorted().into_iter().map(|(_, w)| w.left(self.now)).collect()
     }
 
-    /// How the buffer looks to a monitor.
+    /// The state of the buffer, as a monitor sees it.
     #[must_use]
     pub fn view(&self) -> TransitView {
         let mut next: Vec<NodeId> = self.queue.iter().map(|(_, w)| w.next).collect();
@@ -295,7 +296,7 @@ impl Transit {
             out.unsent(packet.source, packet.id);
         }
         if reason != Reason::ExpiredInTransit {
-            // Tell the source of the command that this copy found no space (D19).
+            // Tells the source of the command that this copy found no space (D19).
             let (to, word) = (mapping::reply_to(packet), Control::RefusedOnTheWay);
             out.transmit(mapping::control(to, packet.destination, word, packet.remaining));
         }
@@ -303,7 +304,7 @@ impl Transit {
 }
 
 impl Waiting {
-    /// The packet with its residence in this buffer charged.
+    /// The packet, charged with its residence in this buffer.
     fn left(&self, now: Instant) -> Packet {
         Packet { remaining: self.expires - now, ..self.packet }
     }
@@ -311,7 +312,7 @@ impl Waiting {
 
 /// The instant from which on a packet cannot arrive before it expires.
 fn leave_by(table: &NodeTable, packet: &Packet, expires: Instant, way: Hop) -> Instant {
-    // Two variants of the rules need this: in one links charge nothing, in the other a late reply is still
+    // Two variants of the rules keep such a packet: in one links charge nothing, in the other a late reply is still
     // accepted.
     let answers = matches!(packet.kind, Kind::Reply | Kind::Response);
     let late =

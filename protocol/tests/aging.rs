@@ -1,5 +1,5 @@
-//! Rejection by rank and its end (R61 to R63, D4, D58, D59): a message is rejected a bounded number of times, and no port is
-//! bypassed for ever.
+//! Rejection by rank, and how it ends (R61 to R63, D4, D58, D59): a message is rejected a bounded number of times, and no
+//! port is bypassed for ever.
 
 use crate::support::{NextExpiry, Solo, get, handle, order, send, send_for};
 use imrs_protocol::aging::Service;
@@ -63,8 +63,8 @@ fn each_rejection_raises_the_rank_by_one_level() {
     {
         room.y.ask(request);
     }
-    // In the `order`, two levels rank above the message. It is rejected at 0 and after 4 ticks, and outranks
-    // the task's own thread after 8.
+    // In the `order`, two levels rank above the message. The message is rejected at instant 0 and after 4 ticks, and
+    // outranks the task's own thread after 8 ticks.
     assert!(room.hear(LOW, 1).is_empty());
     assert_eq!(room.y.task.next_expiry(), Some(Ticks(4)));
     assert_eq!(room.ticks_to_interrupt(50), Some((8, "interrupt [1] from T0 for 92".into())));
@@ -82,7 +82,7 @@ fn without_an_order_a_message_is_rejected_once() {
         Some((2, "interrupt [1] from T0 for 98".into())),
         "one tick of the cell"
     );
-    // The penalty is at most half of the remaining time, and at least one tick.
+    // The penalty is at most half of the message's remaining time, and at least one tick.
     for request in [Request::Return, Request::Done, handle(LOW), Request::Work] {
         room.y.ask(request);
     }
@@ -137,7 +137,7 @@ fn a_cap_does_not_lift_a_message_over_a_handler_of_the_first_rank() {
     assert_eq!(room.ticks_to_interrupt(40), None);
     assert_eq!(room.y.counters(LOW).rejected, 11, "every 4 ticks");
     room.y.ask(Request::Done);
-    // The message interrupts the thread itself as soon as it can.
+    // The message interrupts the thread itself as soon as its rank allows.
     room.y.pass(4);
     assert_eq!(room.y.ask(Request::Return).words(), ["interrupt [2] from T0 for 56"]);
 }
@@ -197,7 +197,7 @@ fn of_two_that_the_literal_penalty_makes_live_alike_the_earlier_goes_first_packe
     assert_eq!(served(true), served(false));
 }
 
-/// How often the head of the first port is bypassed while the other ports always have a more urgent message.
+/// How often the first message of the first port is bypassed while the other ports always have a more urgent message.
 fn passed_over(aging: Aging, gets: u32) -> u32 {
     let mut room = Room::new(|cell| cell.rules.aging = aging);
     room.hear(LOW, 77);
@@ -285,15 +285,15 @@ fn a_flood_of_rejected_messages_keeps_the_first_rank_waiting_for_one_of_them_onl
     assert_eq!(y.ask(Request::Return).delivery().map(|d| d.from.port), Some(HIGH));
 }
 
-/// How many ticks a status message of the first port waits for its handler, and the bound. Before it, `each` messages of
-/// this port and of another one are rejected, and every handler takes `longest`.
+/// How many ticks a status message of the first port waits for its handler, and the computed bound of this wait. Before the
+/// message, `each` messages of this port and of another port are rejected, and every handler takes `longest`.
 fn behind_rivals(each: u16, longest: u64) -> (u64, Ticks) {
     let mut room = Room::new(|cell| cell.ports.iter_mut().for_each(|port| port.time_out = Ticks(1000)));
     let ports = [PLAIN[0], PLAIN[1], HIGH];
     for port in ports {
         room.y.ask(handle(port));
     }
-    // Messages that outrank the thread arrive all the time.
+    // From here on messages that outrank the thread arrive all the time.
     room.y.ask(order(&[Ranked::Port(HIGH), Ranked::Own]));
     room.y.ask(Request::Work);
     for port in [PLAIN[1], PLAIN[0]] {
@@ -345,7 +345,7 @@ fn a_new_order_takes_no_turn_away() {
     room.y.ask(Request::Work);
     room.hear(LOW, 1);
     room.y.ask(Request::Done);
-    // The message has reached its cap of one rejection. The new `order` would allow three.
+    // The message has reached its cap of one rejection. The new `order` would allow three rejections.
     let levels = [Ranked::Own, Ranked::Timers, Ranked::Port(HIGH), Ranked::Port(LOW)];
     room.y.ask(order(&levels));
     room.y.ask(Request::Work);
@@ -357,7 +357,8 @@ fn a_get_that_names_a_source_goes_by_urgency_alone() {
     let of_x = Request::Get { port: None, source: Some(X), time_out: Some(Ticks(0)) };
     let mut room = Room::new(|_| ());
     room.hear(LOW, 77);
-    // A GET that names a source counts no bypass: after many of them a GET over all still takes the more urgent message.
+    // A GET that names a source counts no bypass: after many such GETs a GET over all ports still takes the more urgent
+    // message.
     for _ in 0..20 {
         room.hear_urgent(HIGH, 1, 50);
         assert_eq!(room.y.ask(of_x).words(), ["message [1] from T0 for 50"]);
@@ -366,7 +367,7 @@ fn a_get_that_names_a_source_goes_by_urgency_alone() {
         room.hear_urgent(HIGH, 2, 50);
         assert_eq!(room.y.ask(get(0)).words(), ["message [2] from T0 for 50"]);
     }
-    // Now the port has reached its bypass limit, which only a GET over all ports regards.
+    // Now the port has reached its bypass limit, which matters only to a GET over all ports.
     room.hear_urgent(HIGH, 3, 50);
     assert_eq!(room.y.ask(of_x).words(), ["message [3] from T0 for 50"]);
     room.hear_urgent(HIGH, 4, 50);

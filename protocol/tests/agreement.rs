@@ -1,4 +1,5 @@
-//! Tests that nodes with different cells refuse each other (D47, D48): every difference shows in the digest of the table.
+//! Tests that nodes with different cells do not talk to each other (D47, D48): every difference between cells changes the
+//! digest of the table.
 
 use imrs_protocol::*;
 

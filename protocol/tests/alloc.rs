@@ -108,7 +108,8 @@ fn interrupt(pair: &mut Pair, contents: Contents) {
         pair.ask(ARM, Request::Part { port: ASK, index, contents });
     }
     pair.ask(ARM, ask);
-    // The timer interrupts, then the message, once it was rejected often enough. No handler runs when its answer comes.
+    // The timer interrupts first, then the message, after enough rejections. No handler runs when the message's answer
+    // comes.
     pair.pass(3);
     pair.told(|s| matches!(s, Signal::Interrupt(Call::Timer(_))));
     pair.ask(HOIST, Request::Return);
@@ -147,7 +148,7 @@ fn exercise(pair: &mut Pair, contents: Contents) {
     pair.ask(HOIST, Request::Reply { to: message.from, contents });
     pair.told(|s| matches!(s, Signal::Outcome(Outcome::Reply(_))));
     interrupt(pair, contents);
-    // Status messages until the buffer evicts some, then their expiry.
+    // Status messages until the buffer evicts some of them, then the expiry of the others.
     for _ in 0..4 {
         pair.ask(ARM, status);
     }
@@ -164,7 +165,7 @@ fn exercise(pair: &mut Pair, contents: Contents) {
     pair.ask(ARM, arrive);
     pair.pass(50);
     pair.told(|s| matches!(s, Signal::GaveUp { .. }));
-    // The transit buffer: waiting, overflow and expiry. Then a command that is retransmitted and never answered.
+    // Packets wait in the transit buffer, overflow it and expire. Then a command is retransmitted and never answered.
     pair.room.ready = false;
     for _ in 0..6 {
         pair.ask(ARM, status);
@@ -174,7 +175,7 @@ fn exercise(pair: &mut Pair, contents: Contents) {
     pair.pass(50);
     pair.told(|s| matches!(s, Signal::Outcome(Outcome::TimedOutUnsent)));
     pair.room.ready = true;
-    // A delay, and a clock that goes back to zero.
+    // A delay, and a task whose clock is set back to zero.
     pair.ask(ARM, Request::Delay { id: TimeId(1), length: Ticks(5) });
     pair.pass(5);
     pair.told(|s| matches!(s, Signal::TimeOut(_)));
@@ -190,7 +191,7 @@ fn exercise(pair: &mut Pair, contents: Contents) {
 fn the_message_path_allocates_nothing() {
     let mut pair = Pair::new();
     let contents = Contents::new(b"abc").expect("short");
-    // The first handler of a port allocates the heap for the order of its offers (D108).
+    // The first handler of a port allocates the heap for the order of the port's offers (D108).
     exercise(&mut pair, contents);
     let before = allocations();
     for _ in 0..50 {
@@ -209,7 +210,7 @@ fn loading_a_state_in_place_allocates_nothing() {
     let task = &mut pair.nodes[0].parts_mut().tasks[0];
     let home = ([Frame::ROUND; 5], [Seq24::new(0); 3]);
     let frame = Frame { rounds: &home.0, sequences: &home.1, incarnations: false };
-    // Relative to distant ids the state does not fit its packed form. That is an error, and no value saturates.
+    // Relative to ids that are far away, the state does not fit its packed form. This is an error, and no value saturates.
     assert_eq!(Encode::bytes(&frame, |w| task.walk(&table, w)), Err(Overflow));
     let before = allocations();
     Decode::read(&[0; 64], false, |r| task.walk(&table, r));

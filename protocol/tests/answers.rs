@@ -71,7 +71,7 @@ fn a_handler_does_not_take_the_place_of_an_answer_that_its_thread_was_not_told()
     assert_eq!(x.ask(send(TEACH, Y, 2)).words(), ["fault Busy"], "the desk still holds the answer");
     assert_eq!(x.ask(Request::Return).words(), ["reply [11]"]);
     assert_eq!(rest(&x), Some(12));
-    // The answer was delivered, so the next request drops it.
+    // The answer was delivered, so the next request drops the stored answer.
     let question = x.ask(send(TEACH, Y, 3)).packets[0];
     assert_eq!(rest(&x), None);
     let words: Vec<_> =

@@ -11,11 +11,11 @@ const A: TaskId = TaskId(1);
 const B: TaskId = TaskId(2);
 const C: TaskId = TaskId(3);
 
-/// Status; the buffer holds two.
+/// A port for status messages to R; its buffer holds two.
 const HEARTBEAT: PortId = PortId(0);
-/// The port for commands; its buffer holds two.
+/// The port for commands to R; its buffer holds two.
 const MOVE: PortId = PortId(1);
-/// Status; the buffer holds two.
+/// Another port for status messages to R; its buffer holds two.
 const HALT: PortId = PortId(2);
 
 fn table() -> Arc<CellTable> {
@@ -49,7 +49,7 @@ impl Room {
         packet
     }
 
-    /// Lets a message from a task arrive. Returns in words what the receiver does.
+    /// Lets a message from the task `from` arrive. Returns in words what the receiver does.
     fn put(&mut self, port: PortId, from: TaskId, byte: u8, ttl: u64) -> Vec<String> {
         let packet = self.packet(port, from, byte, ttl);
         self.r.hear(packet).words()
@@ -245,7 +245,7 @@ fn only_the_parties_of_a_port_are_heard_and_only_in_its_class() {
 }
 
 proptest! {
-    /// Compared with a sorted list: the buffer holds the most urgent of the messages, and serves them in order.
+    /// Compares the buffer with a sorted list: the buffer keeps the most urgent messages, and serves them in order.
     #[test]
     fn a_full_buffer_keeps_the_most_urgent(ttls in proptest::collection::vec(1..50_u64, 1..12)) {
         let mut room = Room::new();

@@ -16,7 +16,7 @@ proptest! {
     ) {
         let table = plan.build();
         let rules = table.cell().rules;
-        // The variant that sends instants depends on clocks: it exists to show that (D37).
+        // The variant in which messages carry instants depends on clocks, to show why the decided rule does not (D37).
         prop_assume!(rules.time_stamp == Rules::DEFAULT.time_stamp);
         let mut plain = World::new(&table, restarts);
         let mut other = plain.clone();
@@ -31,7 +31,7 @@ proptest! {
         }
     }
 
-    /// Checks that the kept deadline is never too late: before it nothing is due, even if all parts are scanned.
+    /// Checks that the kept deadline is never too late: before this deadline nothing is due, even if all parts are scanned.
     #[test]
     fn nothing_is_to_be_done_before_the_next_deadline(plan in plans(), ops in lively(), lags: [u8; 8]) {
         let mut plain = World::new(&plan.build(), true);
@@ -40,7 +40,8 @@ proptest! {
         alike_with_lags([plain, looking], &ops, lags)?;
     }
 
-    /// An input at a later time has the same effects as the passage of that time, followed by the input.
+    /// Compares an input at a later time with the passing of that time and then the same input: the effects must be the
+    /// same.
     #[test]
     fn time_comes_before_what_it_comes_with(plan in plans(), ops in ops(), lags: [u8; 8]) {
         let together = World::new(&plan.build(), true);

@@ -1,4 +1,4 @@
-//! Tests that count allocations. The counting allocator serves a whole program, so these tests have one of their own.
+//! Tests that count allocations. The counting allocator serves a whole program, so these tests have a program of their own.
 
 mod alloc;
 mod allocations;

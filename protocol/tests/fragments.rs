@@ -1,4 +1,5 @@
-//! Messages and answers of several packets (D28): complete before their one deadline, or dropped.
+//! Messages and answers of several packets (D28): the receiver gets all packets before the message's one deadline, or drops
+//! them.
 
 use crate::support::{Effects, NextExpiry, Solo, contents, get, reply, send, send_for};
 use imrs_protocol::*;
@@ -106,7 +107,7 @@ fn what_is_not_whole_in_time_is_dropped_whole() {
     assert_eq!(y.task.next_expiry(), Some(Ticks(18)));
     let over = y.pass(18);
     assert_eq!(over.discards(), [Reason::Incomplete]);
-    // A newer message of the source, long or short, replaces one that is not complete.
+    // A newer message of the source, long or short, replaces a message that is not complete.
     for newer in [&[3_u8, 4, 5][..], &[6]] {
         x.ask(Request::Cancel);
         let old = staged(&mut x, TEACH, &[1, 2]).packets;
@@ -138,7 +139,7 @@ fn a_request_and_an_answer_keep_to_their_formats() {
     for (effects, expected) in cases {
         assert_eq!(effects.words(), [expected]);
     }
-    // After that no fragment stays staged.
+    // After the refused send no fragment stays staged.
     let one = x.ask(send(TEACH, Y, 5)).packets;
     assert_eq!((one.len(), one[0].more), (1, false));
     let mut y = Solo::new(&table, Y);
@@ -146,7 +147,7 @@ fn a_request_and_an_answer_keep_to_their_formats() {
     let message = y.ask(get(0)).delivery().expect("the message");
     assert_eq!(message.fragments, 1);
     assert_eq!(y.ask(part(TEACH, 2, 0)).words(), ["fault WrongLength"], "an answer takes two packets");
-    // Packets beyond the declared format are not allowed.
+    // Packets beyond the declared number of fragments are not allowed.
     let forged =
         [(3, false), (2, true), (15, true)].map(|(fragment, more)| Packet { fragment, more, ..one[0] });
     forged.iter().for_each(|packet| assert_eq!(y.hear(*packet).discards(), [Reason::NotAllowed]));
@@ -193,7 +194,7 @@ fn long_status_waits_in_the_buffer_with_all_its_fragments() {
     let first = staged(&mut x, TRACE, &[1, 2, 3, 4]).packets;
     let second = staged(&mut x, TRACE, &[5, 6]).packets;
     let mixed = [first[0], second[0], first[1], second[1], first[2], first[3]];
-    // The second message is complete first. It overtook the first message, whose other fragments come too late.
+    // The second message is complete first. It has overtaken the first message, whose other fragments come too late.
     let drops: Vec<_> = mixed.iter().flat_map(|p| y.hear(*p).discards()).collect();
     assert_eq!(drops.first(), Some(&Reason::Incomplete));
     first.iter().for_each(|packet| drop(y.hear(*packet)));
@@ -231,7 +232,8 @@ fn two_sources_put_their_messages_together_side_by_side() {
     [ours[0], theirs[0], ours[1], theirs[1]].iter().for_each(|packet| drop(y.hear(*packet)));
     for expected in [[1, 2], [3, 4]] {
         let message = y.ask(get(0)).delivery().expect("a message");
-        // Y and Z share a node, so no way back is reserved: the message of X is the more urgent one.
+        // Y and Z share a node, so no time for a way back is reserved for messages of Z: the message of X is the more
+        // urgent one.
         assert_eq!(bytes(&y, message.fragments), expected);
     }
 }
@@ -263,7 +265,7 @@ fn a_fragment_beyond_the_declared_ones_breaks_nothing() {
     let packets = staged(&mut x, TRACE, &[1, 2]).packets;
     let mut y = Solo::new(&table, Y);
     y.hear(packets[0]);
-    // This is a last fragment with a wrong position.
+    // This last fragment has a wrong position.
     let beyond = Packet { fragment: 9, more: false, ..packets[1] };
     assert!(!y.hear(beyond).discards().is_empty());
     y.hear(packets[1]);

@@ -32,7 +32,7 @@ impl NodeOutbox for Did {
     }
 }
 
-/// The whole state as text, counters included, but without the cached deadlines.
+/// The whole state of a node as text, counters included, but without the cached deadlines.
 fn state(node: &Node) -> String {
     let text = format!("{:?}", node.parts());
     let mut pieces = text.split(", due: ");
@@ -82,7 +82,7 @@ impl Run {
         }
     }
 
-    /// Chooses a task that may make a request now; sometimes one that may not.
+    /// Chooses a task that may make a request now. With `any`, sometimes chooses a task that may not.
     fn actor(&self, from: usize, any: bool) -> TaskId {
         let tasks = self.got.len();
         let mut tasks = (0..tasks).map(|i| TaskId::from_index((from + i) % tasks));
@@ -105,7 +105,7 @@ impl Run {
 
     fn answer(&mut self, task: TaskId, a: u16, b: u16, counts: &mut Counts) {
         let got = &self.got[task.index()];
-        // Usually this picks the latest command, sometimes an earlier one.
+        // Usually this picks the latest command that the task got, sometimes an earlier one.
         let back = if b.is_multiple_of(8) { usize::from(a) } else { 0 };
         let Some(&to) = got.iter().rev().nth(back % got.len().max(1)) else { return };
         let contents = Contents::new(&b.to_le_bytes()).expect("short");
@@ -152,7 +152,7 @@ impl Run {
         self.ask(task, request, counts);
     }
 
-    /// One task waits for a message on a port, and another one sends it. The first one usually answers.
+    /// One task waits for a message on a port, and another one sends it. The first task usually answers.
     fn exchange(&mut self, a: u16, b: u16, counts: &mut Counts) {
         let ports = self.table.ports();
         let Some(port) = ports.get(usize::from(a) % ports.len().max(1)) else { return };
@@ -277,7 +277,7 @@ impl Run {
     }
 }
 
-/// The name of the port that the request concerns, or of the request.
+/// The name of the port that the request concerns, or of the kind of request.
 fn name(table: &CellTable, request: &Request) -> &'static str {
     let of = |port: PortId| table.port(port).map(|port| (port.decl.usage, port.decl.class));
     let queries = |usage| matches!(usage, Usage::Query | Usage::Response);
@@ -300,7 +300,7 @@ fn a_fused_step_equals_the_small_steps() {
     let ops = proptest::collection::vec(any::<Op>(), 200);
     let shapes = proptest::collection::vec(any::<[u8; 6]>(), 1..5);
     for round in 0..1200_u32 {
-        // Most cells have one node under the decided rules; the others may be any cell.
+        // Most cells have one node and the decided rules; every fourth cell may be any cell.
         let plan = if round % 4 == 0 {
             plans().new_tree(&mut runner).expect("a plan").current()
         } else {

@@ -20,7 +20,7 @@ proptest! {
     }
 }
 
-/// Runs every kept input of a target; names the one that failed.
+/// Runs every kept input of a target; if an input fails, the message names it.
 pub fn replay(target: &str, run: fn(&[u8])) {
     let seeds = seeds::seeds(target);
     assert!(seeds.len() > 20, "{target} has {} kept inputs only", seeds.len());

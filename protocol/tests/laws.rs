@@ -14,8 +14,8 @@ use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 use std::collections::BTreeSet;
 
-/// Runs the operations in two worlds. Before each one, `change` may change the second world in a way that must not matter.
-/// `same` makes the effects of both worlds comparable.
+/// Runs the operations in two worlds. Before each operation, `change` may change the second world in a way that must not
+/// change its behaviour. `same` makes the effects of both worlds comparable.
 fn compare(
     plain: &mut World,
     other: &mut World,
@@ -45,21 +45,21 @@ fn exactly(_: &World, effects: &Effects) -> Effects {
     effects.clone()
 }
 
-/// Whether the second world is changed before operation `i`. The bits of a random word decide.
+/// Whether [`compare`] changes the second world before operation `i`. The bits of a random number decide.
 fn picks(mask: u64, i: usize) -> bool {
     mask >> (i % 64) & 1 == 1
 }
 
-/// Base rounds on both sides of every wrap of 16 and of 24 bits.
+/// Rounds from which a port counts, on both sides of every wrap of 16 and of 24 bits.
 const ROUNDS: [u16; 7] = [1, 0x7ff0, 0x7fff, 0x8000, 0xfff0, 0xfffe, 0xffff];
-/// Base epochs on both sides of a wrap. They are even, because the epochs of a primary are odd (D80).
+/// Epochs from which a couple counts, on both sides of a wrap. They are even, because a primary's epochs are odd (D80).
 const EPOCHS: [u8; 7] = [2, 0x70, 0x7e, 0x80, 0xf0, 0xfc, 0xfe];
 const SEQUENCES: [u32; 7] = [1, 0x7f_fff0, 0x7f_ffff, 0x80_0000, 0xff_fff0, 0xff_fffe, 0xff_ffff];
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// No input panics, forged packets included, and the invariants hold after every one (checked in every step).
+    /// No input makes a task panic, not even a forged packet, and the invariants hold after every input (each step checks).
     #[test]
     fn every_input_is_taken_in_every_state(plan in plans(), ops in ops(), restarts: bool) {
         let mut world = World::new(&plan.build(), restarts);
@@ -68,7 +68,7 @@ proptest! {
         }
     }
 
-    /// No bytes with a valid checksum panic: every state accepts any packet that decodes.
+    /// No bytes with a valid checksum make a task panic: every state accepts any packet that decodes.
     #[test]
     fn any_bytes_behind_a_right_checksum_are_harmless(
         plan in plans(),
@@ -124,7 +124,7 @@ proptest! {
         }
     }
 
-    /// `next_expiry` is exact: one tick earlier nothing happens, then something does.
+    /// `next_expiry` is exact: one tick earlier nothing happens, and at that instant something does.
     #[test]
     fn the_next_expiry_is_when_something_happens(plan in plans(), ops in ops()) {
         let mut world = World::new(&plan.build(), true);
@@ -152,7 +152,7 @@ proptest! {
         }
     }
 
-    /// The internal clock may be set back to zero at any moment, without an effect.
+    /// The clock of a task may be set back to zero at any moment, without an effect.
     #[test]
     fn rebase_changes_nothing(plan in plans(), ops in ops(), mask: u64) {
         let mut plain = World::new(&plan.build(), true);
@@ -174,7 +174,7 @@ proptest! {
         }
         let late = u64::MAX - back;
         for task in 0..plain.tasks.len() {
-            // A wait of zero length is due whatever the counter is, so it must end first.
+            // A wait of zero length is due whatever the counter of the clock is, so it must end first.
             prop_assert_eq!(other.pass(task, 0), plain.pass(task, 0));
         }
         for (task, table) in other.tasks.iter_mut().zip(&other.tables) {
@@ -193,8 +193,8 @@ proptest! {
         compare(&mut plain, &mut other, &ops, |_, _| (), exactly)?;
     }
 
-    /// Adding a constant to all sequences of a source, and to all rounds of a port, changes nothing else, across every
-    /// wrap.
+    /// Adding a constant to all sequences of a source, and to all rounds of a port, changes nothing else, even if these
+    /// numbers wrap.
     #[test]
     fn ids_may_start_anywhere(plan in plans(), ops in ops(), at in 0..60_usize, bases in any::<[u8; 8]>()) {
         let table = plan.build();
@@ -213,7 +213,7 @@ proptest! {
         compare(&mut plain, &mut other, &ops[at..], |_, _| (), |world, effects| world.shift.back().effects(effects))?;
     }
 
-    /// Adding an even constant to all epochs of a couple changes nothing else, across their wrap.
+    /// Adding an even constant to all epochs of a couple changes nothing else, even if the epochs wrap.
     #[test]
     fn epochs_may_start_anywhere(
         plan in plans().prop_map(Plan::coupled),
@@ -222,7 +222,7 @@ proptest! {
         base in 0..EPOCHS.len(),
     ) {
         let table = plan.build();
-        // A guarded command keeps its epoch in its contents for retransmission, and the shift does not change it there.
+        // A guarded command keeps its epoch in its contents for retransmission, and the shift does not change that copy.
         prop_assume!(!table.ports().iter().any(|p| p.decl.guard.is_some() && p.decl.class == Class::Command));
         let mut plain = World::new(&table, true);
         let at = at.min(ops.len());
@@ -233,7 +233,7 @@ proptest! {
         compare(&mut plain, &mut other, &ops[at..], |_, _| (), |world, effects| world.shift.back().effects(effects))?;
     }
 
-    /// Parts of a state that `bury` drops can never have an effect again.
+    /// The parts of a state that `bury` drops can never have an effect again.
     #[test]
     fn burying_changes_nothing(plan in plans(), ops in ops(), mask: u64) {
         let mut plain = World::new(&plan.build(), true);
@@ -274,7 +274,7 @@ proptest! {
         }
     }
 
-    /// A state that was packed and read back goes on as the original, and packs to the same bytes.
+    /// A state that was packed and read back behaves as the original, and packs to the same bytes.
     #[test]
     fn a_packed_state_behaves_as_the_original(plan in plans(), ops in ops(), restarts: bool, mask: u64) {
         let mut plain = World::new(&plan.build(), restarts);
@@ -284,7 +284,7 @@ proptest! {
     }
 }
 
-/// Random runs prove nothing about events that they never reach.
+/// The random runs of these tests must reach every event and outcome, because they prove nothing about others.
 #[test]
 fn random_runs_reach_every_event_and_outcome() {
     let mut runner = TestRunner::deterministic();

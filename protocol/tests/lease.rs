@@ -60,7 +60,7 @@ fn changes(net: &mut VirtualCell, ticks: u64) -> Vec<(u64, [bool; 2])> {
     seen
 }
 
-/// A net in which the primary holds the lease.
+/// A net in which the primary of the couple holds the lease.
 fn leased(mutual: bool) -> VirtualCell {
     let mut net = VirtualCell::new(cell(mutual));
     net.ask(P, Request::Lease);
@@ -75,7 +75,7 @@ fn the_primary_acts_once_a_heartbeat_has_echoed_its_answer_and_the_lease_is_rene
     let mut net = VirtualCell::new(cell(false));
     net.ask(P, Request::Lease);
     assert_eq!(changes(&mut net, 100), [(0, [false, false]), (5, [true, false])]);
-    // A heartbeat leaves at 1, its answer at 3, and the heartbeat that echoes this answer at 4.
+    // A heartbeat leaves at instant 1, its answer at 3, and the heartbeat that echoes this answer at 4.
     assert_eq!(net.heard(P), ["granted 3"]);
     assert_eq!(net.heard(S), [""; 0]);
 }
@@ -91,7 +91,7 @@ fn with_the_link_cut_the_primary_is_fenced_and_the_standby_takes_over_later() {
     assert!(taken >= fenced + (TAKEOVER - LEASE), "fenced at {fenced}, taken over at {taken}");
     assert_eq!(net.heard(P), ["interrupt Fenced"]);
     assert_eq!(net.heard(S), ["interrupt TakeOver(4)"]);
-    // In this couple the roles are not exchanged, so the old primary does not act again in this incarnation.
+    // In this couple the roles are not exchanged, so the former primary does not act again in this incarnation.
     net.mend();
     assert_eq!(changes(&mut net, 100).len(), 1);
     net.ask(P, send(MOVE, ARM, 1));
@@ -178,7 +178,7 @@ fn with_exchanged_roles_one_that_was_away_takes_over_from_nobody_it_never_heard(
     // The standby acts alone. The new incarnation of its partner cannot know whether the standby acts.
     net.restart(NP, 1);
     assert_eq!(changes(&mut net, 200).len(), 1);
-    // The same holds for a standby that never heard from its primary.
+    // The same holds for a standby that has never heard from its primary.
     let mut alone = VirtualCell::new(cell(true));
     alone.cut(NP, NS);
     assert_eq!(changes(&mut alone, 200).len(), 1);
@@ -200,7 +200,7 @@ fn table(mutual: bool) -> Arc<CellTable> {
     Arc::new(CellTable::new(cell(mutual)).expect("a checked cell"))
 }
 
-/// A status message of the primary or the standby (`from`) to the arm, sent in this epoch.
+/// A status message to the arm from the primary or the standby (`from`), which carries this epoch.
 fn order(from: TaskId, sequence: u32, epoch: u8, what: u8) -> Packet {
     let mut packet = Solo::new(&table(false), ARM).nothing();
     packet.source = from;
@@ -242,16 +242,16 @@ fn an_actuator_drops_what_an_older_epoch_ordered_and_what_still_waits_of_it() {
     assert_eq!(arm.hear(order(P, 1, 1, 11)).discards(), [Reason::StaleEpoch]);
     assert_eq!(arm.ask(get_on(MOVE, 0)).words(), ["message [20] from T1 for 8"]);
     assert_eq!(arm.ask(get_on(MOVE, 0)).words(), ["nothing"]);
-    // No message of the first epoch can be in flight any more, so the arm accepts a couple that began anew.
+    // No message of the first epoch can be in flight any more, so the arm accepts messages of a couple that began anew.
     arm.pass(8 + 1);
     assert_eq!(arm.hear(order(P, 2, 1, 12)).discards(), []);
     assert_eq!(arm.ask(get_on(MOVE, 0)).words(), ["message [12] from T0 for 8"]);
-    // A message without an epoch cannot come from a task that acts.
+    // A message without an epoch cannot come from a task that acts under a lease.
     let bare = Packet { contents: Contents::EMPTY, ..order(P, 3, 1, 0) };
     assert_eq!(arm.hear(bare).discards(), [Reason::NotAllowed]);
 }
 
-/// The epochs are the primary's last before the wrap and the standby's first after it.
+/// The test compares the primary's last epoch before the wrap with the standby's first epoch after the wrap.
 #[test]
 fn an_actuator_compares_epochs_across_their_wrap() {
     let mut arm = Solo::new(&table(false), ARM);
@@ -266,7 +266,7 @@ fn an_actuator_compares_epochs_across_their_wrap() {
     assert_eq!(arm.ask(get_on(MOVE, 0)).words(), ["nothing"]);
 }
 
-/// Every port of the couple drops messages of an older epoch. A newer epoch drops those that wait on any of these ports, too.
+/// Every port of the couple drops messages of an older epoch. A newer epoch drops older ones that wait on these ports, too.
 #[test]
 fn a_guard_is_of_the_couple_whichever_port_an_order_comes_through() {
     let mut cell = cell(false);
@@ -295,7 +295,7 @@ fn said(seen: &support::Effects) -> Vec<[u8; 2]> {
     answers.filter_map(|packet| packet.contents.as_bytes().first_chunk().copied()).collect()
 }
 
-/// A heartbeat of the standby. It echoes the answer to the heartbeat `back` before, of the primary's incarnation `whose`.
+/// A standby's heartbeat. Echoes the answer, of the primary's incarnation `whose`, to the one `back` numbers before.
 fn heartbeat(sequence: u32, back: u8, epoch: u8, whose: u8) -> Packet {
     let contents = Contents::new(&[back, 0, epoch, whose]).expect("short");
     let id = MessageId { sequence: Seq24::new(sequence), ..MessageId::default() };
@@ -328,7 +328,7 @@ fn the_epoch_is_said_before_anybody_acts_in_it_and_a_proposal_is_kept_until_a_ne
     assert!(primary.task.is_active());
 }
 
-/// The same heartbeat from a restarted standby that knows no epoch. It carries the epoch in which that standby would begin.
+/// A heartbeat from a restarted standby that knows no epoch. It carries the epoch in which that standby would begin.
 fn guess(sequence: u32, epoch: u8) -> Packet {
     let contents = Contents::new(&[0, 0, epoch, 0, 1]).expect("short");
     let id = MessageId { incarnation: Incarnation(1), sequence: Seq24::new(sequence) };
@@ -337,7 +337,7 @@ fn guess(sequence: u32, epoch: u8) -> Packet {
 
 #[test]
 fn nobody_takes_the_guess_of_a_node_that_started_again_for_news() {
-    // From 130 on, epoch 2 compares as the newer one.
+    // From 130 on, epoch 2 compares as the newer epoch.
     for reached in [100, 130, 132, 200] {
         let mut primary = Solo::new(&table(true), P);
         primary.hear(heartbeat(1, 0, reached / 2, 0));
@@ -362,7 +362,7 @@ fn a_node_that_started_again_takes_the_epoch_of_one_that_knows_it() {
     }
 }
 
-/// The epochs are equal by chance: an earlier incarnation of the primary may have acted in this epoch.
+/// Guess and known epoch are equal by chance: an earlier incarnation of the primary may have acted in this epoch.
 #[test]
 fn what_was_proposed_from_a_guess_is_over_when_the_partner_knows_an_epoch() {
     let mut primary = Solo::incarnation(&table(true), P, 1, true);
@@ -461,7 +461,7 @@ fn a_couple_that_cannot_keep_its_promise_is_no_couple() {
         errors(|c| c.couples[0].lease = Ticks(7)),
         [CellError::LeaseTooShort { couple: couple(), lease: Ticks(7), least: Ticks(2 * EVERY + 1 + 1) }]
     );
-    // The least take-over is the sum of the lease, the TTL of the last order, a tick, and the drift rounded up.
+    // The least takeover time is the sum of the lease, the TTL of the last order, a tick, and the drift rounded up.
     let least = Ticks(LEASE + 8 + 1 + 1);
     assert_eq!(
         errors(|c| c.couples[0].takeover = Ticks(21)),

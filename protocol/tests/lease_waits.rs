@@ -15,7 +15,7 @@ const LEASE: u64 = 14;
 const TAKEOVER: u64 = 32;
 const EVERY: u64 = 4;
 
-/// A cell with two robots that are a tick apart.
+/// A cell with two robots on two nodes that are a tick apart.
 fn cell(mutual: bool) -> Cell {
     let mut cell = Cell::new("couple", Ticks(1));
     let (a, b) = (cell.node("p"), cell.node("s"));
@@ -51,7 +51,8 @@ impl Couple {
         Self { p: Solo::new(&table, P), s: Solo::new(&table, S) }
     }
 
-    /// Lets the standby send its next heartbeat, and the primary answer. Returns the heartbeat and the primary's signals.
+    /// Lets the standby send its next heartbeat, and the primary answer it. Returns the heartbeat and the primary's
+    /// signals.
     fn heartbeat(&mut self) -> (Packet, Vec<String>) {
         let due = self.s.task.next_expiry().expect("a beat is to be sent");
         self.p.pass(due.0);
@@ -61,8 +62,8 @@ impl Couple {
         (heartbeat, out.signals.iter().map(support::signal).collect())
     }
 
-    /// A couple whose lease is granted. That happens at the second heartbeat, which echoes the answer to the first one; the
-    /// lease counts from that answer.
+    /// A couple whose lease is granted. The grant comes with the second heartbeat, which echoes the answer to the first
+    /// one; the lease counts from that answer.
     fn granted(mutual: bool) -> (Self, Packet) {
         let mut couple = Self::new(mutual);
         couple.p.ask(Request::Lease);
@@ -78,7 +79,8 @@ fn an_echo_of_what_an_earlier_incarnation_was_answered_renews_nothing() {
     let (mut couple, second) = Couple::granted(false);
     let left = LEASE - EVERY;
     couple.p.pass(2);
-    // The new incarnation of the standby never received that answer. Its sequence numbers may follow the earlier ones.
+    // The new incarnation of the standby never received the answer that it echoes. Its sequence numbers may continue those
+    // of the earlier incarnation.
     let id = MessageId { incarnation: Incarnation(1), sequence: second.id.sequence.next() };
     let echo = Contents::new(&[1, 0, 1, 0]).expect("short");
     let out = couple.p.hear(Packet { id, contents: echo, ..second });
@@ -104,8 +106,8 @@ fn a_heartbeat_of_an_earlier_incarnation_is_not_answered_once_the_new_one_is_hea
 fn a_standby_that_restarts_goes_on_renewing_the_lease() {
     let mut net = VirtualCell::new(cell(false));
     net.ask(P, Request::Lease);
-    // The cell runs long enough that the sequence numbers of the new incarnation stay far from the earlier
-    // ones.
+    // The cell runs long enough that the sequence numbers of the new incarnation stay far from those of the earlier
+    // incarnation.
     net.run(400);
     assert_eq!(net.heard(P), ["granted 3"]);
     net.restart(NS, 1);
@@ -141,7 +143,7 @@ fn a_wait_for_the_lease_may_be_interrupted_and_ends_when_the_handler_returns() {
     s.pass(TAKEOVER);
     assert!(s.task.is_active());
     assert_eq!(s.ask(Request::Return).words(), ["granted 4"]);
-    // The task has already learned of its lease by the grant, so no take-over interrupts it in addition.
+    // The task has already learned of its lease by the grant, so no take-over interrupts the task in addition.
     assert_eq!(s.ask(Request::Boundary).words(), ["accepted 0"]);
 }
 
@@ -195,8 +197,8 @@ fn news_of_a_restart_alone_ends_no_lease() {
 
 #[test]
 fn a_lease_covers_the_heartbeats_that_are_on_their_way() {
-    // An answer comes back after 10 ticks, in which two more heartbeats were sent, one every 4 ticks. The last link delay
-    // takes 5.
+    // An answer comes back after 10 ticks, in which two more heartbeats were sent, one every 4 ticks. The delay of the last
+    // link is 5 ticks.
     let with = |lease| {
         let mut cell = cell(false);
         cell.links[0].delay = Ticks(5);
@@ -262,7 +264,7 @@ fn an_actuator_that_is_packed_knows_the_newest_epoch_still() {
             assert_eq!(Decode::read(&bytes, true, |r| read.task.walk(&task.table, r)), bytes.len());
             task = read;
         }
-        // The epoch is forgotten when no message of an older one can arrive any more.
+        // The arm forgets an epoch when no message of an older epoch can arrive any more.
         let stale = if wait == 0 { vec![Reason::StaleEpoch] } else { vec![] };
         assert_eq!(task.hear(order(P, 2)).discards(), stale, "packed: {packed}, after {wait}");
     }

@@ -121,7 +121,7 @@ fn a_full_transit_buffer_refuses_at_once_at_home_only() {
 fn what_comes_over_a_link_is_sorted_by_the_table_alone() {
     let table = Arc::new(CellTable::new(cell()).expect("a checked cell"));
     let at = |node| NodeTable::new(Arc::clone(&table), node);
-    // At each node packets come from the node before it in the chain.
+    // Each node gets packets from the node before it in the chain.
     let sort = |node: NodeId, p, charge| route::arrived(&at(node), NodeId(node.0 - 1), p, Ticks(charge));
     let p = packet();
     let left = |remaining, hops| Packet { remaining: Ticks(remaining), hops, ..p };

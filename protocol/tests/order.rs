@@ -1,4 +1,5 @@
-//! Interruption and `order` (R15 to R17, D15, D16): which handler runs, when, and what the interrupted activation is told.
+//! Interruption and `order` (R15 to R17, D15, D16): which handler runs, when, and which signals the interrupted activation
+//! gets.
 
 use crate::support::{NextExpiry, Solo, arrive, contents, get, get_on, handle, order, reply, send, send_for};
 use imrs_protocol::*;
@@ -109,7 +110,7 @@ fn in_a_plain_receive_every_handler_runs_and_the_receive_goes_on() {
     let mut room = Room::new(&HALT_OVER_SELF);
     assert!(room.ask(get(20)).is_empty());
     assert_eq!(room.hear(HEARTBEAT, 1), ["interrupt [1] from T0 for 40"]);
-    // A message that arrives while the handler runs waits for the receive.
+    // A message without a handler that arrives while a handler runs waits for a `receive`.
     assert!(room.hear(NEWS, 5).is_empty());
     assert_eq!(room.ask(Request::Return), ["message [5] from T0 for 40"]);
     assert!(room.ask(get(20)).is_empty());
@@ -150,10 +151,11 @@ fn handlers_nest_by_rank_and_a_rank_never_grows() {
     assert!(room.ask(Request::Delay { id: TimeId(2), length: Ticks(9) }).is_empty());
     assert!(room.hear_of_z(HALT, 4).is_empty());
     assert_eq!(room.y.input(Input::TimeOut { id: TimeId(2), turn: 1 }).words(), ["time_out 2"]);
-    // The delay of the outer handler ended, too. That handler is told when it resumes.
+    // The delay of the outer handler has ended, too. That handler gets the signal when it resumes.
     assert!(room.y.input(Input::TimeOut { id: TimeId(1), turn: 0 }).words().is_empty());
     assert_eq!(room.ask(Request::Return), ["time_out 1"]);
-    // The thread itself runs again, in its action. Both messages are capped and outrank it; message 2 was rejected first.
+    // The thread itself runs again, in its action. Both messages are capped and outrank the thread; message 2 was rejected
+    // first.
     room.y.pass(4);
     assert_eq!(room.ask(Request::Return), ["interrupt [2] from T2 for 36"]);
     assert_eq!(room.ask(Request::Return), ["interrupt [4] from T2 for 36"]);
@@ -179,7 +181,7 @@ fn waits_below_a_handler_end_and_are_told_once_when_it_returns() {
     assert!(room.y.hear(answer).signals.is_empty());
     assert_eq!(room.y.hear(answer).discards(), [Reason::Unexpected]);
     room.y.pass(10);
-    // The port is free again, because the answer has come.
+    // Y may send on the port again, because the answer has come.
     assert_eq!(room.y.ask(send_for(MOVE, X, 2, 9)).packets.len(), 1);
     assert_eq!(room.y.pass(9).words(), ["TimedOutUnknown"]);
     assert_eq!(room.ask(Request::Return), ["reply [7]"]);
@@ -232,7 +234,7 @@ fn a_timer_may_have_a_rank_of_its_own() {
     assert!(room.y.input(over(1, 0)).is_nothing());
     assert_eq!(room.y.input(over(2, 1)).words(), ["interrupt Timer(TimeId(2))"]);
     assert!(room.ask(Request::Return).is_empty());
-    // If several timers have ended, the first in rank goes first, whatever its name.
+    // If several timers have ended, the timer first in rank goes first, whatever its name.
     let named = [Ranked::Timer(TimeId(2)), Ranked::Timers, Ranked::Own];
     room.ask(Request::Done);
     room.ask(order(&named));
@@ -256,8 +258,8 @@ fn timers_interrupt_by_their_rank_and_wait_without_growing() {
     assert_eq!(room.y.input(over(1, 1)).words(), ["interrupt Timer(TimeId(1))"]);
     room.ask(Request::Return);
     room.ask(Request::Done);
-    // If `self` ranks above the timers, the ends of timers wait for a plain receive, and the lowest timer id
-    // goes first.
+    // If `self` ranks above the timers, the ends of timers wait until the task waits in a plain `receive`, and the lowest
+    // timer id goes first.
     room.ask(order(&[Ranked::Own, Ranked::Timers]));
     room.ask(start(2, 5));
     room.ask(start(1, 5));
@@ -274,7 +276,7 @@ fn timers_interrupt_by_their_rank_and_wait_without_growing() {
     assert_eq!(room.ask(Request::Return), ["interrupt Timer(TimeId(2))"]);
     assert!(room.ask(Request::Return).is_empty());
     room.ask(Request::Cancel);
-    // This tests how many timers may run at once, and which names exclude each other.
+    // The loop tests how many timers may run at once, and which names exclude each other.
     for id in 0..8 {
         assert_eq!(room.ask(start(id, 5)), ["accepted 0"]);
     }

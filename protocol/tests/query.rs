@@ -104,7 +104,7 @@ fn what_one_port_remembers_another_does_not_forget() {
     let asked = y.ask(get(0)).delivery().expect("the query");
     y.hear(command);
     let told = y.ask(get(0)).delivery().expect("the command");
-    // Both messages have dedup entries and can be answered, each once.
+    // Both messages have dedup entries, and each can be answered once.
     assert_eq!(y.hear(query).discards(), [Reason::Duplicate]);
     assert_eq!(y.hear(command).discards(), [Reason::Duplicate]);
     assert_eq!(y.ask(reply(&told, 3)).words(), ["REPLY T1>T0 #1 [3] for 30", "accepted 1"]);
@@ -125,7 +125,7 @@ fn another_task_may_answer_in_place_of_the_one_that_was_asked() {
     net.run(2);
     assert_eq!(net.heard(X), ["reply [8]"]);
     assert_eq!(net.heard(Z), ["accepted 1"]);
-    // The answer has ended the request, so another answer is late.
+    // The answer has ended the request, so a further answer is late.
     net.ask(Z, Request::Reply { to, contents: contents(9) });
     net.run(2);
     assert_eq!(net.heard(X), Vec::<String>::new());
@@ -161,7 +161,7 @@ fn a_query_that_finds_no_place_is_refused() {
     let mut y = Solo::new(&table, Y);
     y.hear(query(Z, 9));
     assert_eq!(y.hear(query(X, 20)).words(), ["REFUSED T1>T0 #0 for 20"]);
-    // A more urgent query takes the place of the waiting one, whose source gets REFUSED.
+    // A more urgent query takes the place of the waiting query, whose source gets REFUSED.
     assert_eq!(
         y.hear(Packet { id: MessageId { sequence: Seq24::new(1), ..MessageId::default() }, ..query(X, 8) })
             .words(),

@@ -210,7 +210,7 @@ fn a_copy_runs_once_however_much_an_earlier_one_was_charged() {
     let command = x.ask(send(MOVE, Y, 7)).packets[0];
     let mut y = Solo::new(&table, Y);
     y.ask(get(90));
-    // A link may charge more than its real delay: this copy seems to have five ticks left, but really has more.
+    // A link may charge more than its real delay: this copy seems to have five ticks left, but more time really remains.
     let first = y.hear(Packet { remaining: Ticks(5), ..command });
     assert_eq!(first.words(), ["message [7] from T0 for 3"]);
     y.ask(reply(&first.delivery().expect("the command"), 1));
@@ -264,7 +264,7 @@ fn what_comes_from_the_own_node_is_of_its_present_incarnation() {
     assert_eq!(y.hear(Packet { destination: Y, ..theirs }).discards(), [Reason::StaleIncarnation]);
 }
 
-/// Why a script is also held back for the commands that its earlier incarnation sent: otherwise such a command may be
+/// Shows why a script is also held back for the commands that its earlier incarnation sent: otherwise such a command may be
 /// carried out after a command of the new incarnation.
 #[test]
 fn a_task_is_held_back_until_nobody_can_carry_out_a_command_of_its_earlier_incarnation() {
@@ -282,7 +282,7 @@ fn a_task_is_held_back_until_nobody_can_carry_out_a_command_of_its_earlier_incar
     z.ask(get(90));
     let new = Solo::incarnation(&table, x, 1, true).ask(send(right, TaskId(2), 2)).packets[0];
     assert_eq!(z.hear(new).words(), ["message [2] from T0 for 7"]);
-    // The packet has waited in a relay for nearly all of its time.
+    // The packet has waited in a relay for nearly all of its remaining time.
     let late = Packet { remaining: Ticks(3), ..late };
     assert_eq!(y.hear(late).words(), ["message [1] from T0 for 1"], "that is not to be");
     assert_eq!(table.held_back(x), Ticks(20 + 2));

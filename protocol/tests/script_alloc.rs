@@ -9,7 +9,7 @@ use std::sync::Arc;
 const ROBOT: TaskId = TaskId(0);
 const ARM: TaskId = TaskId(1);
 
-/// A script that asks its neighbour for ever, with long questions and answers, and works in between.
+/// A script that for ever asks its neighbour, with long questions and answers, and acts in between.
 fn robot(port: PortId) -> Program {
     let mut b = ProgramBuilder::new("robot");
     let fields: Vec<(Type, Slot)> = (0..5).map(|_| (Type::Word, b.variable("w", Type::Word))).collect();

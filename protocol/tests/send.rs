@@ -73,7 +73,7 @@ fn a_command_is_answered_with_the_way_back_reserved() {
     net.ask(X, send(MOVE, Y, 3));
     net.run(5);
     let message = net.message(Y);
-    // The budget is the TTL of 20 ticks, less 2 for the way there and 2 reserved for the way back (D18).
+    // The execution budget is the TTL of 20 ticks, less 2 for the way there and 2 reserved for the way back (D18).
     assert_eq!((message.budget, message.class), (Ticks(16), Class::Command));
     net.ask(Y, reply(&message, 4));
     net.run(2);
@@ -231,7 +231,7 @@ fn a_command_is_remembered_until_no_copy_can_be_on_the_way() {
     y.ask(get(9));
     let message = y.hear(Packet { remaining: Ticks(18), ..command }).delivery().expect("the message");
     y.ask(reply(&message, 9));
-    // The sender no longer waits, but a copy that was charged too little may still arrive within the link's bound.
+    // The sender no longer waits, but a copy that was charged too little may still arrive, up to the link's bound.
     y.pass(19);
     let copy = Packet { remaining: Ticks(3), ..command };
     assert_eq!(y.hear(copy).words(), ["REPLY T1>T0 #0 [9] for 3"]);

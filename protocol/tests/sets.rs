@@ -82,7 +82,7 @@ fn a_set_ends_with_the_last_answer() {
     assert!(p.hear(back(0, Kind::Response, contents(5))).signals.is_empty());
     assert_eq!(p.hear(back(0, Kind::Response, contents(6))).discards(), [Reason::Unexpected]);
     assert!(p.hear(back(1, Kind::Control, Control::Refused.to_contents())).signals.is_empty());
-    // If a task answers with the id of the request to another task, the answer counts for neither.
+    // If a task answers with the id of the request to another task, the answer counts for neither of the two.
     let crossed = Packet { id: asked[2].id, ..back(1, Kind::Response, contents(9)) };
     assert_eq!(p.hear(crossed).discards(), [Reason::Unexpected]);
     assert_eq!(

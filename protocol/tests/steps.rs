@@ -40,7 +40,7 @@ fn cell() -> Cell {
 /// The packets that left a node, and the signals that reached a task of it.
 #[derive(Default)]
 struct Outside {
-    /// Whether the link takes packets.
+    /// Whether the link takes packets now.
     open: bool,
     words: Vec<String>,
     told: Vec<Signal>,
@@ -81,7 +81,7 @@ impl Walk for Bases {
     }
 }
 
-/// A node that takes one step at a time.
+/// A node that the test steps one pending effect at a time.
 #[derive(Clone)]
 struct Steps(Node);
 
@@ -91,7 +91,7 @@ impl Steps {
         Self(Node::new(table, Incarnation(0), false, transit))
     }
 
-    /// The numbers to which packed numbers are relative. The test chooses those of Z.
+    /// The numbers to which packed numbers are relative. The test chooses the numbers of Z.
     fn bases(&mut self) -> (Vec<Round>, Vec<Seq24>) {
         let mut bases = Bases::default();
         let mut sequences: Vec<Seq24> = Vec::new();
@@ -135,8 +135,8 @@ impl Steps {
         into
     }
 
-    /// Takes one input. After every step a node that was packed and read back must go on as this one does. Returns what
-    /// happened, and how many steps it took.
+    /// Takes one input. After every step a node that was packed and read back must behave as this node does. Returns what
+    /// happened, and how many steps the input took.
     fn take(&mut self, input: NodeInput, open: bool) -> (Outside, usize) {
         self.take_after(0, input, open)
     }
@@ -168,7 +168,7 @@ impl Steps {
         (out, steps)
     }
 
-    /// Hands the first queued input to its task. Returns false if there is none.
+    /// Hands the first queued input to its task. Returns false if no input is queued.
     fn next(&mut self, out: &mut Outside) -> bool {
         let waits = self.0.is_busy();
         self.0.take(0, out);
@@ -248,15 +248,15 @@ fn delays_are_with_the_timer_at_once_and_its_word_may_be_looked_at_on_its_way() 
     let (out, steps) = node.take(NodeInput::Request(X, Request::Cancel), true);
     assert_eq!((out.words, steps), (vec!["T0: cancelled".into()], 0), "nor the disarming");
     assert_eq!(node.0.next_expiry(), None);
-    // Packing a node with an effect that is not carried out yet is an error: the effect is not left out
-    // silently.
+    // Packing a node with an effect that has not been carried out is an error: the packed form never silently leaves the
+    // effect out.
     node.0.begin(Instant::START, NodeInput::Request(X, delay(300)), &mut Outside::default());
     let (rounds, sequences) = node.bases();
     let frame = Frame { rounds: &rounds, sequences: &sequences, incarnations: true };
     assert_eq!(Encode::bytes(&frame, |w| node.0.walk_work(w)), Err(Overflow));
 }
 
-/// A time-out is queued while its task stops the timer, or starts it again: `file` drops the time-out.
+/// A time-out is queued while its task stops the timer or starts the timer again: `file` drops the time-out.
 #[test]
 fn a_report_of_an_earlier_start_is_dropped() {
     let start = Request::Start { id: TimeId(1), length: Ticks(5) };
@@ -282,7 +282,8 @@ fn news_of_a_restart_may_be_looked_at_between_two_tasks() {
     assert_eq!((out.words, steps), (vec!["T0: PeerRestarted".into(), "T1: PeerRestarted".into()], 2));
 }
 
-/// If two tasks have something due at the same time, either may be first, and the state in between is visible (D170).
+/// If two tasks have something due at the same time, either task may be first, and the state between the two steps is
+/// visible (D170).
 #[test]
 fn what_tasks_do_at_one_time_may_be_taken_in_either_order() {
     let mut node = Steps::new(4);

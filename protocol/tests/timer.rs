@@ -90,12 +90,12 @@ fn an_unexpected_time_out_is_nothing() {
     assert_eq!(x.input(Input::TimeOut { id: TimeId(1), turn: 0 }).words(), ["time_out 1"]);
     assert!(x.input(Input::TimeOut { id: TimeId(1), turn: 0 }).is_nothing());
     x.ask(delay(1, 5));
-    // This time-out belongs to the first delay and arrives after the second one began.
+    // This time-out belongs to the first delay, and arrives after the second delay of the same name began.
     assert!(x.input(Input::TimeOut { id: TimeId(1), turn: 0 }).is_nothing());
     assert_eq!(x.ask(Request::Cancel).timers, [(TimeId(1), None)]);
 }
 
-/// The Timer of Figure 3 to the letter: an array of entries, each of which every tick decrements.
+/// The Timer of Figure 3 to the letter: an array of entries; every tick decrements each entry.
 #[derive(Default)]
 struct Figure3(Vec<(TaskId, TimeId, u64)>);
 
@@ -166,7 +166,7 @@ fn start(id: u8, length: u64) -> Request {
     Request::Start { id: TimeId(id), length: Ticks(length) }
 }
 
-/// A net in which the timers of X outrank its thread.
+/// A net in which task X works, and its timers outrank its thread.
 fn working() -> VirtualCell {
     let mut net = VirtualCell::new(cell());
     net.ask(X, support::order(&[Ranked::Timers, Ranked::Own]));
@@ -193,7 +193,7 @@ fn a_stopped_timer_never_interrupts_and_leaves_nothing_behind() {
     net.ask(X, Request::Stop { id: TimeId(1) });
     let entries = net.nodes[0].node.parts().timer.entries();
     assert_eq!(entries, [(X, TimeId(2), Ticks(9))]);
-    // A timer that has ended, but whose handler has not begun, is taken back, too.
+    // Stopping also takes back a timer that has ended, but whose handler has not begun.
     net.run(9);
     net.ask(X, Request::Stop { id: TimeId(2) });
     net.ask(X, Request::Work);

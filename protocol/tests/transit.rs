@@ -26,7 +26,7 @@ fn table(eviction: Eviction) -> NodeTable {
     NodeTable::new(Arc::new(CellTable::new(cell).expect("a checked cell")), NodeId(0))
 }
 
-/// The buffer's effects: notices to tasks that a copy never left, packets, and drops with the dropped packet's sequence number.
+/// The buffer's effects: notices that a copy never left, packets, and drops with the packet's sequence number.
 #[derive(Default, Debug, PartialEq)]
 struct Out {
     unsent: Vec<(TaskId, u32)>,
@@ -100,7 +100,7 @@ impl Rig {
         out
     }
 
-    /// Takes out all waiting packets in the order in which they leave: number and remaining time.
+    /// Takes out all waiting packets in the order in which they leave. Returns the number and the remaining time of each.
     fn drain(&mut self) -> Vec<(u32, u64)> {
         let next = || self.transit.next(|_| true).map(|(_, p)| (p.id.sequence.get(), p.remaining.0));
         std::iter::from_fn(next).collect()
@@ -158,7 +158,7 @@ fn what_can_arrive_no_more_is_dropped_and_its_task_knows_that_it_never_left() {
     let mut rig = Rig::new(8);
     rig.offer(status(1, 10));
     rig.offer(command(2, 10));
-    // The link takes four ticks.
+    // The link has a bound of four ticks.
     assert_eq!(rig.advance(5), Out::default());
     let out = rig.advance(1);
     assert_eq!(out.drops, [(Reason::ExpiredInTransit, 2), (Reason::ExpiredInTransit, 1)]);
@@ -224,7 +224,7 @@ fn what_cannot_arrive_in_time_any_more_takes_neither_room_nor_the_link() {
 
 #[test]
 fn each_goes_as_long_as_its_own_way_lets_it() {
-    // The second link takes five ticks, the first one four.
+    // The second link has a bound of five ticks, the first link one of four.
     let mut cell = Cell::new("line", Ticks(1));
     let [a, b, c] = ["a", "b", "c"].map(|name| cell.node(name));
     cell.link(a, b, Ticks(4));
@@ -320,7 +320,7 @@ fn a_full_buffer_says_so_without_dropping_another_command() {
     let out = rig.offer(Packet { source: TaskId(3), ..command(2, 30) });
     let word = out.words.first().expect("the source hears of it");
     assert_eq!(word, "REFUSED ON THE WAY T2>T3 #2 for 30");
-    // The refusal is itself a packet for a task of another node. It comes back to the buffer, and finds room of its own.
+    // The refusal is itself a packet for a task of another node. It enters the buffer again, and finds space of its own.
     let said = Control::RefusedOnTheWay.to_contents();
     let word = Packet {
         kind: Kind::Control,
@@ -332,7 +332,7 @@ fn a_full_buffer_says_so_without_dropping_another_command() {
     for number in 0..4 {
         let id = MessageId { sequence: Seq24::new(number), ..word.id };
         let drops = rig.offer(Packet { id, ..word }).drops;
-        // A buffer for one message has room for one refusal.
+        // A buffer for one message has space for one refusal.
         let expected = if number == 0 { vec![] } else { vec![(Reason::Refused, number)] };
         assert_eq!(drops, expected);
     }
@@ -397,7 +397,7 @@ fn more_packets_than_the_packed_count_holds_are_an_overflow() {
 }
 
 proptest! {
-    /// `pass` has the same effects as `offer` and `next`, whatever waits and whichever links are ready.
+    /// `pass` has the same effects as `offer` followed by `next`, whatever waits and whichever links are ready.
     #[test]
     fn to_pass_is_to_be_offered_and_to_leave(
         before in prop_oneof![Just(Vec::new()), steps()], ttl in 0..20_u64, asks: bool, far: bool, mask in 0..4_u64,

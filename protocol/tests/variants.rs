@@ -1,4 +1,5 @@
-//! Variants of the rules, which are literal and naive readings of the paper. Each still shows the fault for which it exists.
+//! Variants of the rules, which are literal and naive readings of the paper. Each variant still shows the fault for which
+//! it exists.
 
 use crate::support::{NextExpiry, Solo, arrive, get, reply, send};
 use imrs_protocol::rules::{JobRequest, Memory, TimeStamp};
@@ -36,7 +37,7 @@ fn table(change: impl FnOnce(&mut Rules)) -> Arc<CellTable> {
     Arc::new(CellTable::new(cell(change)).expect("a checked cell"))
 }
 
-/// The remaining time of a message that has waited ten ticks for a link, and ten in a receiver's buffer.
+/// What remains of a message that has waited ten ticks for a link and ten in a receiver's buffer.
 fn left_after_waiting(charged: bool) -> (Option<String>, Vec<String>) {
     let mut net = VirtualCell::new(cell(|rules| rules.charge_residence = charged));
     net.block(&[N1]);
@@ -75,7 +76,7 @@ fn of_two_commands_that_live_alike_the_earlier_goes_first_whenever_the_state_is_
         if packed {
             z.repack();
         }
-        // A copy of the second command was charged less.
+        // A copy of the second command was charged less, so it has more time left.
         z.hear(second);
         assert_eq!(z.queue(MOVE), [(X, 28), (X, 28)]);
         [(), ()].map(|()| z.ask(get(0)).words().remove(0))

@@ -104,7 +104,7 @@ fn nobody_is_released_while_one_is_missing_and_all_say_who() {
 fn confirmations(rule: Confirmation) -> (Vec<String>, Vec<&'static str>) {
     let rules = Rules { confirmation: rule, ..Rules::DEFAULT };
     let mut net = VirtualCell::new(cell_with(3, 0, rules));
-    // No arrival of Y reaches Z.
+    // All arrivals from Y to Z are lost.
     net.lose(|from, to, p| (from, to) == (NodeId(1), NodeId(2)) && p.kind == Kind::Arrive);
     for task in [X, Y, Z] {
         net.ask(task, arrive(LIFT));
@@ -229,7 +229,7 @@ fn word_that_the_round_was_released_is_a_confirm() {
     assert_eq!(y.hear(from_x).words().last().map(String::as_str), Some("released r1 complete"));
     let next = to(&y.ask(arrive(LIFT)), X);
     assert_eq!(next.meeting(), Meeting { round: Round(2), released: Round(1), arguments: [0; 8] });
-    // Y's arrival and CONFIRM of round 1 were lost. Its arrival in round 2 says that Y was released from round 1.
+    // Y's arrival and CONFIRM of round 1 were lost. Y's arrival in round 2 says that Y was released from round 1.
     assert_eq!(x.hear(next).words(), ["released r1 by T1"]);
     // The arrival in round 2 is kept for the next meeting.
     let words = x.ask(arrive(LIFT)).words();

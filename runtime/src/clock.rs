@@ -1,12 +1,13 @@
 //! The node's only clock: `CLOCK_BOOTTIME`, never wall-clock time (D37).
 //!
-//! It runs on while the machine is suspended, and so do leases, time_outs and timers: a suspend counts as a pause of the node
-//! (D153). Futex sleeps use `CLOCK_MONOTONIC`, which stands still during a suspend. An instant is converted to that clock only
-//! where a thread goes to sleep, and a woken thread reads `CLOCK_BOOTTIME` again.
+//! This clock runs on while the machine is suspended, and so do leases, time_outs and timers: a suspend counts as a
+//! pause of the node (D153). Futex sleeps use `CLOCK_MONOTONIC`, which stands still during a suspend. An instant is
+//! converted to `CLOCK_MONOTONIC` only where a thread goes to sleep, and a woken thread reads `CLOCK_BOOTTIME` again.
 //!
-//! Between two sleeps the time comes from the processor's counter, where the kernel keeps its own time by it (D197).
+//! Between two sleeps of a thread the time comes from the processor's counter, if the kernel keeps its own time by that
+//! counter (D197).
 
-// Named, because a test has this file under a path of its own.
+// The module is named by its path, because a test includes this file under another path.
 #[path = "clock/counter.rs"]
 mod counter;
 
@@ -26,7 +27,8 @@ pub(crate) const FAR: Micros = u64::MAX;
 const NANOS_PER_SECOND: u64 = 1_000_000_000;
 const NANOS_PER_MICRO: u64 = 1_000;
 
-/// A new offset that differs from the known one by at most this (ns) is no change: the two clocks are read one after the other.
+/// A measured offset counts as unchanged if it differs from the known offset by at most this (ns), because the two
+/// clocks are read one after the other.
 const READ_APART: u64 = 10 * NANOS_PER_MICRO;
 
 /// The last known offset of `CLOCK_BOOTTIME` from `CLOCK_MONOTONIC`, in nanoseconds. Only a suspend changes it. It is negative
@@ -47,10 +49,10 @@ fn nanos() -> u64 {
 const KEPT_BY: &str = "/sys/devices/system/clocksource/clocksource0/current_clocksource";
 /// The environment variable that, set to `kernel`, makes a process read the kernel's clock alone.
 const CLOCK: &str = "IMRS_CLOCK";
-/// The names in that file of the counters that `quanta` reads.
+/// The names, in the file [`KEPT_BY`], of the counters that `quanta` reads.
 const COUNTERS: [&str; 2] = ["tsc", "arch_sys_counter"];
 
-/// The clocks of this machine, with the counter if it is used.
+/// The clocks of this machine: the kernel's, and the processor's counter if the process uses it.
 struct Here(Option<quanta::Clock>);
 
 impl Clocks for Here {
@@ -72,25 +74,25 @@ fn here() -> &'static (Here, Counter) {
         let kept_by = std::fs::read_to_string(KEPT_BY).unwrap_or_default();
         let is_asked_for = std::env::var_os(CLOCK).is_none_or(|asked| asked != "kernel");
         let usable = is_asked_for && COUNTERS.contains(&kept_by.trim());
-        // The library measures a rate of its own when a clock is made, which takes time.
+        // `quanta` measures a rate of its own when a clock is made, which takes time.
         let here = Here(usable.then(quanta::Clock::new));
         let counter = Counter::new(&here, usable);
         (here, counter)
     })
 }
 
-/// Whether the time between two sleeps comes from the processor's counter.
+/// Whether the time between two sleeps of a thread comes from the processor's counter.
 pub(crate) fn is_by_counter() -> bool {
     here().1.is_trusted()
 }
 
-/// The bounds of the time now.
+/// The earliest and the latest time that it may be now.
 fn bounds() -> Between {
     let (here, counter) = here();
     ANCHOR.with(|anchor| counter.read(here, anchor))
 }
 
-/// Measures the offset between the clocks, stores and returns it.
+/// Measures the offset between the two clocks of the kernel, stores and returns it.
 fn ahead() -> i64 {
     let known = AHEAD.load(Ordering::Relaxed);
     let (before, boot) = (read(ClockId::Monotonic), nanos());
@@ -107,9 +109,9 @@ const fn apart(boot: u64, monotonic: u64) -> i64 {
     boot.wrapping_sub(monotonic).cast_signed()
 }
 
-/// The offset of the two clocks. `boot` was read between `before` and `after`, so these readings bound the offset, and
-/// `known` is clamped to the bounds. If the thread was preempted between the readings, the bounds are wide, and `known`
-/// stays.
+/// The offset of the two clocks of the kernel. `CLOCK_BOOTTIME` read `boot` between the readings `before` and `after`
+/// of `CLOCK_MONOTONIC`. These readings bound the offset, and `known` is clamped to the bounds. If the thread was
+/// preempted between the readings, the bounds are wide, and `known` stays.
 fn between(known: i64, before: u64, boot: u64, after: u64) -> i64 {
     known.clamp(apart(boot, after), apart(boot, before))
 }
@@ -119,18 +121,18 @@ pub(crate) fn suspended() -> Micros {
     u64::try_from(AHEAD.load(Ordering::Relaxed)).unwrap_or_default() / NANOS_PER_MICRO
 }
 
-/// Measures anew, and returns what [`suspended`] returns then.
+/// Measures the offset of the clocks anew, and returns what [`suspended`] returns then.
 pub(crate) fn look_for_suspend() -> Micros {
     ahead();
     suspended()
 }
 
-/// The current time, rounded down to a microsecond: for everything that happens to a task.
+/// The current time, rounded down to a microsecond: the stamp of everything that happens to a task.
 pub(crate) fn now() -> Micros {
     bounds().earliest / NANOS_PER_MICRO
 }
 
-/// The current time, rounded up to a microsecond: for a task's requests, so that rounding never shortens a time_out.
+/// The current time, rounded up to a microsecond: the stamp of a task's requests, so that rounding never shortens a time_out.
 pub(crate) fn next() -> Micros {
     bounds().latest.div_ceil(NANOS_PER_MICRO)
 }
@@ -185,14 +187,15 @@ mod tests {
         let at = now() + 1_000_000;
         let monotonic = read(ClockId::Monotonic);
         let left = nanos_of(at).expect("an instant") - monotonic;
-        // This thread may have been preempted in between, but no machine is suspended during a test.
+        // This thread may have been preempted between the two readings, but no machine is suspended during a test.
         assert!(left <= 1_000_000_000 + READ_APART, "{left} ns");
         assert_eq!(nanos_of(at), nanos_of(at));
     }
 
     #[test]
     fn a_timer_of_the_nodes_own_clock_has_the_instant_itself() {
-        // `nanos_of` would subtract how long the machine was suspended, so the timer of a guard would expire too early.
+        // `nanos_of` would subtract the time for which the machine was suspended, so the timer of a guard would expire
+        // too early.
         for at in [1, 1_000_001, 3_600_000_000, FAR / NANOS_PER_MICRO] {
             let due = boottime(at).expect("an instant");
             let nanos = i128::from(due.tv_sec) * i128::from(NANOS_PER_SECOND) + i128::from(due.tv_nsec);

@@ -5,8 +5,8 @@ pub(crate) use loom::sync::{Condvar, Mutex as PlainMutex};
 pub(crate) use loom::thread;
 use std::collections::BTreeMap;
 use std::ops::{Deref, DerefMut};
-/// This is not loom's `Arc`: loom counts each of its operations as a step, and a thread that is abandoned in a deadlock
-/// cannot drop it.
+/// This is the standard library's `Arc`, not loom's. loom counts each operation of its own `Arc` as a step, and a
+/// thread that is abandoned in a deadlock cannot drop it.
 pub(crate) use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -18,8 +18,8 @@ const PREEMPTIONS: usize = 3;
 /// The most preemptions in a large scene: one preemption more would take 15,000 to 225,000 executions instead of at most a
 /// tenth of that.
 const PREEMPTIONS_IF_LARGE: usize = 2;
-/// The time limit of an exploration. One that takes longer fails, because it proves nothing. Each needs only seconds; the
-/// rest is for a busy machine.
+/// The time limit of an exploration. One that takes longer fails, because it proves nothing. Each exploration needs
+/// only seconds; a busy machine may need the rest.
 const CAP: Duration = Duration::from_secs(600);
 
 /// How often each outcome was seen.
@@ -60,7 +60,8 @@ fn explore_within<O: Ord + Send + 'static>(
 }
 
 /// loom explores no `try_lock` against the release of its own mutex, because it does not branch there. This mutex keeps
-/// `held` in an atomic of its own, which loom explores, stale values included. No correct lock is weaker than that.
+/// `held` in an atomic of its own, which loom explores, stale values included. No correct lock gives weaker promises
+/// than this mutex.
 #[derive(Debug)]
 pub(crate) struct Mutex<T> {
     held: AtomicBool,

@@ -1,11 +1,12 @@
-//! Runs one node of a cell. Tasks are threads, futures or scripts. A communication task is a data structure behind a lock, run by
-//! the thread that brings input. One Timer thread sleeps until the next expiry. Links connect the node to the others.
+//! Runs one node of a cell. Tasks are threads, futures or scripts. A communication task is a data structure behind a
+//! lock, and the thread that brings input runs it. One Timer thread sleeps until the next expiry. Links connect the
+//! node to other nodes.
 //!
 //! There is no protocol here: every rule is in `imrs-protocol`, and this crate is one of its drivers.
 //!
-//! A robot's program that reads a cell file when it starts links `imrs-client`, which runs its nodes on this crate. Link this
-//! crate and `imrs-macros` for a cell that is compiled into the program, with types for its messages; link this crate alone
-//! for a cell that is built in Rust, as here.
+//! A robot's program that reads a cell file when it starts links `imrs-client`, which runs its nodes on this crate.
+//! Link this crate and `imrs-macros` for a cell that is compiled into the program, with types for its messages. Link
+//! this crate alone for a cell that is built in Rust, as in this example.
 //!
 //! ```
 //! use imrs_protocol::{Cell, CellTable, PortDecl, Ticks, Usage};
@@ -71,14 +72,15 @@ pub use node::threads::{Runtime, SPIN_TAIL};
 pub use observe::observer;
 pub use observe::snapshot::{Observations, Watching};
 
-/// The node's clock in microseconds, for measurements of a reading.
+/// The time of the node's clock in microseconds, for benchmarks of how long a reading takes.
 #[doc(hidden)]
 #[must_use]
 pub fn read_clock() -> u64 {
     clock::now()
 }
 
-/// Whether the node's clock comes from the processor's counter between two sleeps, for the bounds of measurements.
+/// Whether the node's clock comes from the processor's counter between two sleeps of a thread. Benchmarks ask this,
+/// because their bounds depend on it.
 #[doc(hidden)]
 #[must_use]
 pub fn is_by_counter() -> bool {

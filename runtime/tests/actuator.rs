@@ -15,7 +15,7 @@ fn place() -> (TempDir, PathBuf) {
     (folder, path)
 }
 
-/// The epoch of the refused program, and the newest epoch in the gate.
+/// The epoch of the refused program, and the newest epoch in the gate that refused it.
 fn over(refused: Refused) -> (u8, u8) {
     match refused {
         Refused::Epoch { shown, newest } => (shown, newest),
@@ -114,8 +114,8 @@ fn whoever_has_a_newer_epoch_waits_for_the_step_of_an_older_one() {
         let acts = scope.spawn(|| {
             let step = || {
                 tell.send(()).unwrap();
-                // On most machines this is long enough for the other thread to come meanwhile. On others the test proves
-                // nothing.
+                // On most machines the other thread reaches its next step within this time. On other machines the test
+                // proves nothing.
                 thread::sleep(std::time::Duration::from_millis(50));
                 ended.store(true, Ordering::SeqCst);
             };
@@ -136,7 +136,7 @@ fn steps_that_follow_each_other_closely_keep_no_newer_epoch_out() {
     let gate = Gate::open(&path).unwrap();
     let (tell, told) = report();
     thread::scope(|scope| {
-        // There are two threads, so that one of them is always in the middle of a step.
+        // Two threads take steps, so that one of them is always in the middle of a step.
         for _ in 0..2 {
             let (gate, tell) = (&gate, tell.clone());
             scope.spawn(move || {
@@ -147,7 +147,7 @@ fn steps_that_follow_each_other_closely_keep_no_newer_epoch_out() {
         }
         told.recv().unwrap();
         told.recv().unwrap();
-        // Without the queue this call would wait for ever, and so would the two threads.
+        // Without the queue at the gate this call would wait for ever, and the two threads with it.
         let second = gate.admit(2, Deadline::none()).unwrap();
         assert!(second.may_act());
     });

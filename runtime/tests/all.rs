@@ -1,5 +1,5 @@
-//! The tests of the runtime with real threads, as one program: each file beside this one is a module of it. `process.rs` has
-//! the tests that count or stop the whole process; `schedules` has the tests with shuttle.
+//! The tests of the runtime with real threads, as one program. Most files beside this one are modules of it.
+//! `process.rs` has the tests that count or stop the whole process; `schedules` has the tests with shuttle.
 
 mod actuator;
 mod busy;

@@ -30,8 +30,8 @@ struct Counter {
 }
 
 impl Counter {
-    /// Waits for the first turn of every Timer thread, because what a thread allocates at its start belongs to no message.
-    /// These delays are the only waits that the Timer ends: the other tasks wait without a time_out.
+    /// Waits until every Timer thread has served one expiry, because memory that a thread allocates at its start belongs to
+    /// no message. These delays are the only waits that the Timer ends: the other tasks wait without a time_out.
     fn wait_for_timers(&self) {
         (0..self.nodes).for_each(|_| self.timers.recv_timeout(LONG).expect("a delay ends"));
     }
@@ -54,20 +54,20 @@ fn needs_the_timer(node: Builder, name: &str, tell: &Sender<()>) -> Builder {
     })
 }
 
-/// The counter of `a` for so many nodes, the sender for the reports of the Timers, and the receiver of the count.
+/// The counter of task `a` for this many nodes, the sender for the reports of the Timers, and the receiver of the count.
 fn counter(nodes: usize) -> (Counter, Sender<()>, Receiver<Allocated>) {
     let ((tell, timers), (allocated, counted)) = (report(), report());
     (Counter { timers, nodes, allocated }, tell, counted)
 }
 
-/// Waits for the programs to end. Returns the allocations.
+/// Waits for the programs of all nodes to end. Returns their allocations.
 fn allocations(nodes: Vec<Runtime>, counted: &Receiver<Allocated>) -> Allocated {
     assert!(nodes.iter().all(|node| node.wait(LONG)));
     nodes.into_iter().for_each(finish);
     counted.try_recv().expect("it was counted")
 }
 
-/// One round of messages: `a` asks `b`, all three meet, and `a` tells the others.
+/// One round of messages: `a` asks `b`, all three tasks meet, and `a` sends news to the other two.
 fn round(ctx: &mut Context, number: u32, messages: &mut Vec<Delivery>) -> Result<(), TaskError> {
     let (ask, lift, news) = (PortId(0), PortId(1), PortId(2));
     if ctx.id() == A {
@@ -87,7 +87,7 @@ fn round(ctx: &mut Context, number: u32, messages: &mut Vec<Delivery>) -> Result
     }
 }
 
-/// `a` counts allocations once all have met, because then every task has warmed up.
+/// Task `a` counts allocations once all tasks have met, because then every task has warmed up.
 fn program(ctx: &mut Context, counter: Option<&Counter>) -> Result<(), TaskError> {
     let mut messages = Vec::with_capacity(MANY);
     counter.into_iter().for_each(Counter::wait_for_timers);
@@ -99,7 +99,7 @@ fn program(ctx: &mut Context, counter: Option<&Counter>) -> Result<(), TaskError
         Some(counter) => counter.count(counted)?,
         None => counted()?,
     }
-    // No task leaves while `a` counts allocations.
+    // This round keeps every task running while `a` counts allocations.
     round(ctx, 0, &mut messages)
 }
 
@@ -138,7 +138,7 @@ impl<L: Link> Link for Wide<L> {
 
 /// How many messages are sent together, nearly in the order of their urgency.
 const BURST: u16 = 120;
-/// How many messages fit into one datagram, which the link hands over together.
+/// How many messages fit into one datagram. The link hands these messages over together.
 const TOGETHER: u16 = 40;
 /// The number of the question that ends the answers.
 const END: u16 = u16::MAX;
@@ -146,20 +146,20 @@ const END: u16 = u16::MAX;
 fn tell_together(ctx: &mut Context, count: u16) -> Result<(), TaskError> {
     ctx.together(|ctx| {
         (0..count).try_for_each(|number| {
-            // A few later messages overtake each of these.
+            // A few later messages overtake each of these messages.
             let time_out = Some(LONG - Duration::from_millis(u64::from(BURST - (number ^ 7))));
             ctx.send_with(PortId(1), Target::All, b"more", time_out).map(|_copies| ())
         })
     })
 }
 
-/// Asks whether `count` messages have come.
+/// Asks the other task whether `count` messages have arrived.
 fn ask_for(ctx: &mut Context, count: u16) -> Result<(), TaskError> {
     assert!(ctx.send(PortId(0), &count.to_le_bytes())?.reply().is_some());
     Ok(())
 }
 
-/// Takes as many messages as each question says, and then answers.
+/// Takes as many messages as each question says, and then answers the question.
 fn takes_bursts(ctx: &mut Context) -> Result<(), TaskError> {
     let (ask, burst) = (PortId(0), PortId(1));
     let mut messages = Vec::with_capacity(MANY);
@@ -197,7 +197,7 @@ fn two_nodes() -> (Arc<CellTable>, [InProcess; 2]) {
     (table, links)
 }
 
-/// The allocations while `a` sends to `b`. Each link belongs to its node.
+/// The allocations while task `a` sends to task `b`. `links` has one link for each node.
 fn told(
     table: &Arc<CellTable>,
     links: [Arc<dyn Link>; 2],
@@ -252,7 +252,7 @@ fn messages_allocate_nothing_in_steady_state() {
     assert_eq!(allocated, [], "several datagrams together");
 }
 
-/// A link whose node receives nothing while the link is closed.
+/// A link that can be closed: meanwhile its node receives nothing.
 struct Gate<L> {
     link: L,
     state: Mutex<Door>,
@@ -271,7 +271,7 @@ impl<L: Link> Gate<L> {
         Self { link, state: Mutex::default(), changed: Condvar::new() }
     }
 
-    /// From now on the node receives nothing.
+    /// Closes the link: from now on its node receives nothing.
     fn close(&self) {
         self.state.lock().unwrap().closed = true;
         self.link.wake();
@@ -310,8 +310,8 @@ impl<L: Link> Link for Gate<L> {
     }
 }
 
-/// After a node stood still, or if its neighbour sends more at once than ever before, a thread that never got two packets
-/// for a task in one datagram gets forty.
+/// A thread that never got two packets for a task in one datagram gets forty of them. This happens after a node stood
+/// still, or if its neighbour sends more at once than ever before.
 #[test]
 fn packets_that_come_together_for_the_first_time_allocate_nothing() {
     let _alone = alone();

@@ -13,7 +13,7 @@ static ALLOCATOR: Counting = Counting;
 static LIVE: AtomicI64 = AtomicI64::new(0);
 
 thread_local! {
-    /// How often the thread has allocated.
+    /// How often the calling thread has allocated.
     static OWN: Cell<u64> = const { Cell::new(0) };
 }
 
@@ -23,7 +23,7 @@ static COUNTING: AtomicBool = AtomicBool::new(false);
 static THREADS: [Thread; 64] = [const { Thread { id: AtomicI32::new(0), times: AtomicU64::new(0) } }; 64];
 
 struct Thread {
-    /// The kernel's thread id; zero for a free place.
+    /// The kernel's id of the thread; zero if the place is free.
     id: AtomicI32,
     times: AtomicU64,
 }

@@ -43,15 +43,15 @@ fn sleeps_at_last(thread: i32) {
     }
 }
 
-/// When a round trip is answered.
+/// When the answering task answers.
 #[derive(Clone, Copy, PartialEq)]
 enum Answer {
     AtOnce,
-    /// The answer comes when the asking thread sleeps.
+    /// The answer comes once the asking thread sleeps.
     Asleep,
 }
 
-/// How often the asking task slept in the last round trips. The threads of the two tasks may use these cores.
+/// How often the asking task slept in the last round trips. `cores` are the cores that the threads of the two tasks may use.
 fn sleeps_of_asking(cores: [CpuSet; 2], spin: Duration, answer: Answer) -> u64 {
     let mut cell = cell(&[0, 0], Ticks(0));
     cell.port(ask(Ticks(10 * LONG_TICKS.0)));
@@ -77,7 +77,7 @@ fn sleeps_of_asking(cores: [CpuSet; 2], spin: Duration, answer: Answer) -> u64 {
         })
         .task("b", move |ctx| {
             bind(&cores[1]);
-            // In its first wait, the runtime learns which cores the thread may use.
+            // During a task's first wait, the runtime learns which cores the task's thread may use.
             assert_eq!(ctx.receive(None, Some(Duration::from_millis(1)))?, None);
             begin.send(()).expect("a waits");
             for _ in 0..WARM_UP + TRIPS {

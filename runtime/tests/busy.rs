@@ -1,5 +1,5 @@
-//! Input for a task whose thread runs is left for that thread until its next call (D130). The task gets the input in the
-//! same order, its remaining time keeps running, and an observer sees it.
+//! Other threads leave input for a task whose thread runs until that thread's next call (D130). The task gets the input
+//! in the same order, the messages' remaining time keeps running, and an observer sees them.
 
 use crate::common::{A, B, LONG, LONG_TICKS, cell, finish, one_node, report, table};
 use imrs_protocol::{PortDecl, PortId, Reason, Target, Ticks, Usage};
@@ -105,7 +105,7 @@ fn whoever_looks_sees_what_was_left() {
     finish(node);
 }
 
-/// The delay is far longer than any machine takes for this test; stopping the node ends it.
+/// The delay is far longer than any machine takes for this test. Stopping the node ends the delay.
 #[test]
 fn a_handler_interrupts_a_delay_that_is_spun_for() {
     let length = 10 * LONG;

@@ -1,5 +1,5 @@
-//! Tests of tasks of a node that share a domain: futures that exchange messages in fused steps (D187), and futures or scripts that
-//! meet in them (D193).
+//! Tests of tasks of a node that share a domain: futures that exchange messages in fused steps (D187), and futures or
+//! scripts that meet in fused steps (D193).
 
 use crate::common::{LONG, LONG_TICKS, Tape, ask, cell, one_node, table};
 use imrs_protocol::script::{Binary, End, Program, ProgramBuilder, Type};
@@ -26,7 +26,7 @@ impl Wake for Between {
     }
 }
 
-/// Polls `program` with another waker than the executor's each time. Counts its calls.
+/// Polls `program` with a new waker each time, never with the executor's. Counts the calls of these wakers.
 async fn between<T>(program: impl Future<Output = T>, calls: Arc<AtomicU32>) -> T {
     let mut program = pin!(program);
     poll_fn(move |poller| {
@@ -54,8 +54,8 @@ async fn answer(mut ctx: AsyncContext) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// The counters of the ports of two futures, one of which asks the other. `how` completes the node. With `calls`,
-/// another waker stands between each future and the executor.
+/// The counters of the ports of two futures, one of which asks the other. `how` completes the node's builder. With
+/// `calls`, each future is polled with a waker of the test instead of the executor's.
 fn counted(how: impl FnOnce(Builder) -> Builder, calls: Option<Arc<AtomicU32>>) -> Vec<Vec<PortView>> {
     let mut cell = cell(&[0, 0], Ticks(2_000));
     cell.port(ask(LONG_TICKS));
@@ -103,7 +103,7 @@ async fn meet(mut ctx: AsyncContext) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// A script that meets the others and ends.
+/// A script that meets the other tasks once and ends.
 fn meeter() -> Arc<Program> {
     let mut b = ProgramBuilder::new("meeter");
     let n = b.variable("n", Type::Int32);
@@ -122,7 +122,7 @@ fn meeter() -> Arc<Program> {
     Arc::new(b.finish().expect("a sound program"))
 }
 
-/// What the ports of four tasks count that meet again and again. `with` gives the node its tasks.
+/// The counters of the ports of four tasks that meet repeatedly. `with` gives the node its tasks.
 fn met(with: impl FnOnce(Builder) -> Builder) -> Vec<PortCounters> {
     let mut cell = cell(&[0, 0, 0, 0], Ticks(2_000));
     cell.port(PortDecl::new(
@@ -149,7 +149,7 @@ fn all(node: Builder, add: impl Fn(Builder, &str) -> Builder) -> Builder {
 fn tasks_that_meet_in_fused_steps_meet_as_often_as_those_that_are_recorded() {
     let futures = |node: Builder| all(node, |node, name| node.async_task(name, meet));
     let scripts = |node: Builder| all(node, |node, name| node.script(name, meeter()));
-    // A script is in no domain with futures.
+    // Scripts and futures never share a domain.
     let mixed = |node: Builder| {
         let three = ["a", "b", "c"].into_iter().fold(node, |node, name| node.async_task(name, meet));
         three.script("d", meeter())
@@ -164,6 +164,6 @@ fn tasks_that_meet_in_fused_steps_meet_as_often_as_those_that_are_recorded() {
     assert_eq!(counts(met(mixed)), expected);
     assert_eq!(counts(met(|node| tape(futures(node)))), expected);
     assert_eq!(counts(met(|node| tape(scripts(node)))), expected);
-    // Nothing is sent within a fused step: no CONFIRM comes when its receiver has gone on to the next round.
+    // Nothing is sent within a fused step, so no CONFIRM arrives after its receiver has gone on to the next round.
     assert!(met(scripts).iter().all(|port| port.dropped == 0));
 }

@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 
 const CHILD: &str = "IMRS_TEST_FAIL_STOP";
 
-/// The error output of this test when it runs `node` in a process of its own, in which the fail-stop must end it.
+/// Runs this test's `node` in a process of its own, which the fail-stop must end. Returns the error output of that process.
 fn said_at_its_end(test: &str, node: impl FnOnce() -> Runtime) -> String {
     let _alone = alone();
     if std::env::var_os(CHILD).is_some() {
@@ -29,7 +29,7 @@ fn said_at_its_end(test: &str, node: impl FnOnce() -> Runtime) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// The command that runs this test in a process of its own.
+/// The command that runs the test `test` in a process of its own.
 fn child(test: &str) -> Command {
     let (_program, module) = module_path!().split_once("::").expect("a module of the test program");
     let mut child = Command::new(std::env::current_exe().unwrap());
@@ -37,7 +37,7 @@ fn child(test: &str) -> Command {
     child
 }
 
-/// A recorder that panics. It is called under a communication task's lock, so its panic is one of the runtime itself.
+/// A recorder that panics. It is called under a communication task's lock, so its panic is a panic of the runtime itself.
 struct Broken;
 
 impl Recorder for Broken {
@@ -70,7 +70,7 @@ fn broken() -> Runtime {
 fn a_standard_error_that_nobody_reads_does_not_hold_up_the_abort() {
     let _alone = alone();
     if std::env::var_os(CHILD).is_some() {
-        // The default hook also writes to standard error, and would block here.
+        // Rust's default panic hook also writes to standard error, and would block here.
         std::panic::set_hook(Box::new(|_| ()));
         let survived = broken().wait(LONG);
         unreachable!("the process went on; all programs ended: {survived}");
@@ -107,7 +107,7 @@ impl Link for BreaksTheTimer {
     fn wake(&self) {}
 }
 
-/// A script that asks a task of another node after a delay for which no thread of its own waits.
+/// A script that asks a task of another node after a delay. No thread of the script's own waits for the delay.
 fn late_asker() -> Arc<Program> {
     let mut b = ProgramBuilder::new("late asker");
     let n = b.variable("n", Type::Int32);

@@ -52,7 +52,7 @@ async fn give_way() {
     .await;
 }
 
-/// A flag by which another thread tells something to a future.
+/// A flag by which another thread gives a signal to a future.
 #[derive(Default)]
 pub struct Told(Mutex<(bool, Option<Waker>)>);
 
@@ -237,7 +237,7 @@ fn a_future_hears_another_thread_while_it_waits_for_a_message() {
                 assert!(matches!(select(message, other).await, Either::Right(_)));
             }
             free.tell();
-            // The dropped wait left no request behind, so the task may ask again.
+            // The dropped wait left no request behind, so the task may make a request again.
             assert_eq!(ctx.take::<i32>(news, None).await?.expect("the news").message, 1);
             Ok(())
         })
@@ -369,7 +369,7 @@ fn stopping_ends_every_wait_and_drops_who_waits_for_something_else() {
             move |mut ctx: AsyncContext| async move {
                 began.send(()).unwrap();
                 assert_eq!(ctx.receive(None, None).await, Err(TaskError::Stopped));
-                // Every later wait ends in the same way.
+                // Every later wait also ends with `Stopped`.
                 assert_eq!(ctx.delay(SOON).await, Err(TaskError::Stopped));
                 Ok(())
             }
@@ -389,7 +389,7 @@ fn stopping_ends_every_wait_and_drops_who_waits_for_something_else() {
     told.recv_timeout(LONG).expect("what never ends is dropped");
 }
 
-/// The program of a task of [`busy`]: it meets `rounds` times; in between `a` sends news and asks, and the others answer.
+/// The program of a task of [`busy`]: it meets `rounds` times; between meetings `a` sends news and asks, and the others answer.
 async fn meets_and_asks(mut ctx: AsyncContext, rounds: u8) -> Result<(), TaskError> {
     let (lift, news) = (ctx.port("lift")?, ctx.port("news")?);
     for round in 0..rounds {
@@ -485,7 +485,7 @@ fn what_is_there_is_taken_without_a_wait_and_what_belongs_together_leaves_togeth
                 None => ctx.delay(Duration::from_millis(1)).await?,
             }
         }
-        // The messages are equally urgent, except for the microseconds at which each was taken in.
+        // The messages are equally urgent, except for the microseconds at which the task took each, so their order is not fixed.
         heard.sort_unstable();
         assert_eq!(heard, [0, 1, 2, 3]);
         assert_eq!(ctx.poll(Some(news)).await?, None);

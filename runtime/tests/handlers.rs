@@ -1,4 +1,5 @@
-//! Tests of the handlers of Rust tasks, of their timers, of typed and long messages, and of the state after a panic.
+//! Tests of the handlers of Rust tasks, of their timers, of typed and long messages, and of the state of a task after a
+//! panic.
 
 use crate::common::{
     A, AMPLE, AMPLE_TICKS, B, C, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table,
@@ -9,7 +10,8 @@ use imrs_runtime::message::Bytes;
 use imrs_runtime::{Asked, Context, Rendezvous, RequestFault, Sent, TaskEnd, TaskError};
 use std::time::{Duration, Instant};
 
-/// The program of a task that asks `times` times, and each time expects a number that is one greater.
+/// The program of a task that asks `times` questions, and expects in each answer a number that is one greater than in
+/// the question.
 fn asks(times: i32) -> impl FnOnce(&mut Context) -> Result<(), TaskError> + Send + 'static {
     move |ctx| {
         let ask = ctx.port("ask")?;
@@ -68,7 +70,7 @@ fn without_an_order_a_delay_is_interrupted_only_by_the_rejected_and_with_one_by_
             }
             ctx.on_query(ask, |ctx, number: i32| {
                 ctx.state.push("handler begins");
-                // This delay interrupts another delay, which goes on meanwhile.
+                // This delay of the handler interrupts another delay, which goes on meanwhile.
                 ctx.delay(Duration::from_millis(5))?;
                 ctx.state.push("handler ends");
                 Ok(number + 1)
@@ -210,7 +212,7 @@ fn several_are_asked_at_once_and_each_answer_is_told_apart() {
             ctx.query_all(state, Target::All, &(), |task, asked| said.push((task, asked)))?;
             assert_eq!(said, [(B, Asked::Reply(20_i16)), (C, Asked::Reply(30))]);
             said.clear();
-            // The task answered the first time. No task answers this second query.
+            // The task answered the first query. No task answers this second query.
             ctx.query_all(state, Target::All, &(), |task, asked| said.push((task, asked)))?;
             assert_eq!(said, [(B, Asked::TimedOutUnknown), (C, Asked::TimedOutUnknown)]);
             let one =
@@ -278,7 +280,7 @@ fn a_panic_in_a_handler_is_the_tasks_crash_and_the_partners_of_its_wait_are_told
             let asked = ctx.query_with::<i32, i32>(ask, Target::All, &1, Some(AMPLE))?;
             assert!(asked.may_have_run());
             let meet = ctx.port("meet")?;
-            // This loop waits until b has crashed and its arrival is taken back. Before that, b's arrival still counts.
+            // This loop repeats until b has crashed and its arrival is taken back. Before that, b's arrival still counts.
             loop {
                 match ctx.waitfor_with(meet, [0; 8], Some(Duration::from_millis(20)))? {
                     Rendezvous::GaveUp { missing, .. } if missing & 1 == 1 => return Ok(()),
@@ -302,15 +304,16 @@ fn a_panic_in_a_handler_is_the_tasks_crash_and_the_partners_of_its_wait_are_told
     assert_eq!(ends, [TaskEnd::Returned, crash, TaskEnd::Returned]);
 }
 
-/// The primary's partner is stopped, so the primary loses its lease, in the middle of an atomic section that only the loss can
-/// end. What it sends then is refused, in the handler and after it (D61, D87).
+/// The primary's partner is stopped, so the primary loses its lease. It is then in the middle of an atomic section that
+/// only the loss of the lease can end. Messages that it sends after the loss are refused, in the handler and after the
+/// handler (D61, D87).
 #[test]
 fn the_loss_of_the_lease_interrupts_an_atomic_section_and_what_is_ordered_then_is_refused() {
     let mut cell = cell(&[0, 1, 0], Ticks(2_000));
     let via = cell.port(PortDecl::new("alive", A, Usage::Response, &[B], Ticks(40_000)));
     cell.port(PortDecl::new("move", A, Usage::Send, &[C], Ticks(50_000)).guard(0));
-    // The lease is longer than a busy machine keeps a thread from running. So it is lost once, and not before the end of the
-    // partner.
+    // The lease is longer than the time for which a busy machine keeps a thread from running. So the primary loses the
+    // lease only once, and not before its partner has ended.
     let [lease, takeover, every] = [3_000_000, 20_000_000, 20_000].map(Ticks);
     let (trusted, mutual) = (false, false);
     cell.couples.push(CoupleDecl { primary: A, standby: B, lease, takeover, every, via, trusted, mutual });

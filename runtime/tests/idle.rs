@@ -1,4 +1,4 @@
-//! Tests that a node with nothing to wait for sleeps: none of its threads wakes.
+//! Tests that an idle node, in which no task has work, sleeps: none of its threads wakes.
 
 use crate::alone;
 use crate::common::{A, B, LONG, cell, network, on, report, table};

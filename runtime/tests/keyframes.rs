@@ -1,4 +1,4 @@
-//! A recording with losses goes on from a keyframe (D62): later steps are judged again, lost steps never count as good.
+//! A recording with losses goes on from a keyframe (D62): later steps are judged again, and lost steps never count as good.
 
 use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table};
 use imrs_protocol::{
@@ -62,7 +62,7 @@ impl Log for TapeOf {
     }
 }
 
-/// A program that meets, sends news, asks and answers.
+/// A program that meets other tasks, sends news, asks and answers.
 fn program(ctx: &mut Context) -> Result<(), TaskError> {
     let (lift, news) = (ctx.port("lift")?, ctx.port("news")?);
     for round in 0..15_u8 {
@@ -73,7 +73,7 @@ fn program(ctx: &mut Context) -> Result<(), TaskError> {
             let _outcome = ctx.send(ask, &[round])?;
         } else {
             while let Some(message) = ctx.receive(None, Some(Duration::from_millis(5)))? {
-                // A late reply is refused, and a reply to news is a fault. Both results are recorded like others.
+                // A late reply is refused, and a reply to news is a fault. The recording must contain both results.
                 let _fault = ctx.reply(&message.from, b"yes");
             }
         }
@@ -104,7 +104,7 @@ fn run_recorded() -> (Arc<CellTable>, BTreeMap<TaskId, Vec<Entry>>) {
     (table, steps)
 }
 
-/// An outbox that records everything that a machine puts out.
+/// An outbox that records all outputs of a machine.
 #[derive(Default, Debug, PartialEq)]
 struct All(Vec<String>);
 
@@ -146,7 +146,7 @@ fn a_machine_read_back_from_its_keyframe_behaves_bit_equal() {
                 machine.handle(&node, machine.now() + step.elapsed, &step.input, out);
             }
             assert_eq!(out[0], out[1]);
-            // The state is read back exactly after every step, so both machines go on alike.
+            // The state is read back exactly after every step, so the original and the copy go on alike.
             let bytes = postcard::to_allocvec(&original).unwrap();
             copy = postcard::from_bytes(&bytes).unwrap();
             assert_eq!(postcard::to_allocvec(&copy).unwrap(), bytes);
@@ -274,7 +274,7 @@ fn a_node_whose_disk_was_stuck_is_recorded_on_and_its_replay_is_unknown() {
                 answered(100)?;
             }
             in_program.hold(false);
-            // This loop waits until both tasks are recorded again.
+            // This loop repeats until both tasks are recorded again.
             let start = Instant::now();
             loop {
                 let before = lost();
@@ -296,7 +296,7 @@ fn a_node_whose_disk_was_stuck_is_recorded_on_and_its_replay_is_unknown() {
         })
         .start()
         .unwrap();
-    told.recv_timeout(10 * LONG).expect("the disk takes everything again"); // Over 10,000 round trips.
+    told.recv_timeout(10 * LONG).expect("the disk takes everything again"); // This takes over 10,000 round trips.
     assert!(node.stop(LONG).iter().all(|(_, end)| *end == imrs_runtime::TaskEnd::Returned));
     let status = recorder.stop(LONG).expect("it was not stopped before");
     assert!(status.ended && status.lost > 0, "{status:?}");
@@ -314,7 +314,7 @@ fn a_node_whose_disk_was_stuck_is_recorded_on_and_its_replay_is_unknown() {
     };
     let gaps = count(|record| matches!(record, Record::Gap { .. }));
     let keyframes = count(|record| matches!(record, Record::Keyframe { .. }));
-    // There is one keyframe after each gap, and none where nothing was lost.
+    // There is at most one keyframe for each gap, and none where nothing was lost.
     assert!((1..=gaps).contains(&keyframes), "{keyframes} keyframes, {gaps} gaps");
 }
 
@@ -345,7 +345,7 @@ fn recordings_of_others_are_refused() {
     assert!(matches!(replayed(digest, node, &[broken]), Err(ReplayError::Keyframe(_))));
 }
 
-/// Refuses the state of a table whose port has a larger buffer, because this machine can never have it.
+/// A keyframe is refused if its state belongs to a table whose port has a larger buffer, because this machine can never have that state.
 #[test]
 fn a_state_of_a_machine_with_other_buffers_is_refused() {
     let with_room_for = |messages: u16| {
@@ -386,8 +386,8 @@ fn a_state_of_a_machine_with_other_buffers_is_refused() {
     assert_eq!(resumed(&narrow), Err(KeyframeError::OutOfBounds(B)));
 }
 
-/// The last record has more inputs or other outputs than the records before it, and no gap says so: something was lost
-/// unnoticed.
+/// The last record says that the task had more inputs or other outputs than the records before it, and there is no gap:
+/// so records were lost unnoticed.
 #[test]
 fn a_last_record_that_does_not_fit_is_told() {
     let here = NodeTable::new(table(cell(&[0], Ticks(0))), NodeId(0));
@@ -409,7 +409,7 @@ fn a_last_record_that_does_not_fit_is_told() {
     };
     assert_eq!(closed(0, 2, start), miscount(2, start));
     assert_eq!(closed(0, 1, other), miscount(1, other));
-    // A gap explains a difference, but only for as many records as the gap has.
+    // A gap explains a difference, but only for as many records as the gap says.
     assert_eq!(closed(2, 3, other), Verdict::Unknown);
     assert_eq!(closed(2, 4, other), miscount(4, other));
 }

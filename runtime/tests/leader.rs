@@ -1,5 +1,5 @@
-//! Tests of a task that waits in the socket (D40): which threads are woken, which are not, and what happens to datagrams for
-//! other tasks. These tests run alone, because the threads of another test would be counted, too.
+//! Tests of a task that waits in the socket (D40): which threads are woken, which are not, and what happens to
+//! datagrams for other tasks. These tests run alone, because they would also count the threads of another test.
 
 use crate::alone;
 use crate::common::udp::{builders, links, udp_links};
@@ -31,14 +31,14 @@ fn sleeps_of_receivers() -> u64 {
 /// A link that reports whether a thread waits in it.
 struct Watched {
     link: UdpLink,
-    /// The thread that waits in the link; zero for none.
+    /// The number of the thread that waits in the link; zero if there is none.
     waits: AtomicI32,
 }
 
 impl Watched {
-    /// Waits until a leading thread sleeps in the link, because that thread receives everything that comes after that. On a
+    /// Waits until a leading thread sleeps in the link, because that thread then receives all later datagrams. On a
     /// busy machine the task may once not lead, because its last wait ended otherwise. Then this round trip wakes the
-    /// receiving thread, and counts.
+    /// receiving thread, and that wake-up counts.
     fn is_led(&self) {
         let begin = Instant::now();
         let is_asleep = |thread: i32| {
@@ -94,7 +94,7 @@ impl Leading for Watched {
     }
 }
 
-/// Builders of two nodes with a task each, `a` that asks and `b` that answers, and their links.
+/// Builders of two nodes with a task each, `a` that asks and `b` that answers, and the links of the two nodes.
 fn asking() -> ([Builder; 2], [Arc<Watched>; 2]) {
     let mut cell = cell(&[0, 1], Ticks(1_000));
     cell.port(ask(Ticks(10 * LONG_TICKS.0)));
@@ -107,8 +107,8 @@ fn asking() -> ([Builder; 2], [Arc<Watched>; 2]) {
     ([(0, &links[0]), (1, &links[1])].map(node), links)
 }
 
-/// The number of round trips in which each side sends while the other one waits in its link. The first ones bring both
-/// there.
+/// The number of round trips in which each task sends while the other task waits in its link. The first of these trips
+/// bring both tasks there.
 const WARM_UP: u64 = 5;
 const TRIPS: u64 = 20;
 
@@ -168,7 +168,7 @@ fn a_reply_wakes_one_thread() {
     finish_stopped(second);
 }
 
-/// The thread of the futures leads while all of them wait, on both nodes.
+/// On both nodes, the thread of the futures leads while all its futures wait.
 fn a_reply_to_a_future_wakes_one_thread() {
     let ([first, second], [of_a, of_b]) = asking();
     let first = first.async_task("a", |mut ctx: AsyncContext| async move {
@@ -207,7 +207,8 @@ fn finish_stopped(runtime: imrs_runtime::Runtime) {
     assert!(ends.iter().all(|(_, end)| *end == TaskEnd::Returned), "{ends:?}");
 }
 
-/// `a` leads (waits in the socket for its node), takes its message and then computes. Messages for `b` of that node still arrive.
+/// Task `a` leads (it waits in the socket for its node), takes its message and then computes. Messages for task `b` of
+/// that node still arrive.
 fn what_is_for_others_does_not_wait_for_a_task_that_computes() {
     let mut cell = cell(&[0, 0, 1], Ticks(1_000));
     cell.port(PortDecl::new("to-a", C, Usage::Send, &[A], LONG_TICKS).command());
@@ -236,7 +237,7 @@ fn what_is_for_others_does_not_wait_for_a_task_that_computes() {
         });
     let there = there.task("c", move |ctx| {
         let ports = [ctx.port("to-a")?, ctx.port("to-b")?];
-        // Meanwhile `a` and `b` go to sleep. Most likely `a` does so first, and becomes the leader: it waits in the socket.
+        // Meanwhile `a` and `b` go to sleep. Most likely `a` sleeps first, and becomes the leader: it waits in the socket.
         ctx.delay(Duration::from_millis(20))?;
         ctx.send(ports[0], b"")?.reply().expect("nothing is lost");
         for _ in 0..20 {
@@ -251,7 +252,7 @@ fn what_is_for_others_does_not_wait_for_a_task_that_computes() {
     assert!(busy.load(Ordering::Acquire));
 }
 
-/// `b` waits in the link, in turns for questions from its own node and for datagrams.
+/// Task `b` waits in the link, alternately for questions from its own node and for datagrams.
 fn a_leader_is_called_by_tasks_of_its_own_node() {
     let mut cell = cell(&[0, 0, 1], Ticks(1_000));
     cell.port(ask(LONG_TICKS));
@@ -306,7 +307,7 @@ fn what_is_sent_together_leaves_in_full_datagrams() {
     const MESSAGES: usize = 100;
     let mut cell = cell(&[0, 1], Ticks(1_000));
     let decl = PortDecl::new("news", A, Usage::Send, &[B], LONG_TICKS);
-    // There is room for all of these messages, because the receiver may be late.
+    // The port has room for all of these messages, because the receiver may be late.
     cell.port(decl.bounded_buffer(MESSAGES as u16 + 3));
     cell.port(ask(LONG_TICKS));
     let table = table(cell);
@@ -326,7 +327,7 @@ fn what_is_sent_together_leaves_in_full_datagrams() {
         ctx.together(|ctx| {
             let _copies = ctx.send(news, b"news")?;
             assert_eq!(since(), 3, "it waits for more");
-            // Everything that a task sent leaves before the task waits for an answer.
+            // All messages that a task has sent leave before the task waits for an answer.
             ctx.send(ask, b"?")?.reply().expect("nothing is lost");
             assert_eq!(since(), 4, "both in one");
             ctx.send(news, b"news").map(|_| ())

@@ -102,7 +102,7 @@ fn a_crash_is_the_tasks_own_and_shown() {
         let Rendezvous::GaveUp { missing, .. } = ctx.waitfor(lift)? else {
             panic!("b crashed before it came")
         };
-        // The member that gives up last also misses the member that gave up before.
+        // The member that gives up last reports two members as missing: one of them is the member that gave up before it.
         assert!(missing & 0b010 != 0, "{missing:b}");
         Ok(())
     };
@@ -140,7 +140,8 @@ fn a_restart_while_a_command_waits_is_told_to_its_sender() {
     let asker = on(&network, &table, 0).task("a", |ctx| {
         let ask = ctx.port("ask")?;
         assert_eq!(ctx.send(ask, b"work")?, Sent::Outcome(Outcome::PeerRestarted));
-        // The new incarnation cannot know which commands the old one ran. For a while it says so in answer to every command.
+        // The new incarnation cannot know which commands the old incarnation ran. For a while it says so in answer to
+        // every command.
         assert_eq!(ctx.send(ask, b"work")?, Sent::Outcome(Outcome::PeerRestarted));
         Ok(())
     });
@@ -171,8 +172,8 @@ fn a_restart_while_a_command_waits_is_told_to_its_sender() {
     finish(asker);
 }
 
-/// Sends a command to a neighbour from which nothing was ever heard; then the first datagram of that neighbour comes.
-/// Returns the outcome.
+/// Sends a command to a neighbour from which this node has never received anything; then the first datagram of that
+/// neighbour arrives. Returns the command's outcome.
 fn first_contact(restarted: bool, time_out: Ticks) -> Outcome {
     let mut cell = cell(&[0, 1], Ticks(1_000));
     cell.port(ask(time_out));

@@ -12,7 +12,7 @@ use std::time::Duration;
 const SLOW: PortId = PortId(0);
 const FAST: PortId = PortId(1);
 
-/// Ports from `a` to `b` and to `c`, each with room for `room` messages.
+/// A cell with ports from `a` to `b` and to `c`, each with room for `room` messages.
 fn two_ports(room: u16) -> Arc<imrs_protocol::CellTable> {
     let mut cell = cell(&[0, 0, 0], Ticks(0));
     cell.port(PortDecl::new("slow", A, Usage::Send, &[B], LONG_TICKS).bounded_buffer(room));
@@ -67,7 +67,8 @@ fn the_most_urgent_come_first_as_many_as_are_asked_for() {
         .unwrap();
     finish(node);
 
-    // The recording has single GETs: the first with the time_out of the call, the others as polls. The replay repeats them.
+    // The recording has single GETs: the first has the time_out of the call, and the others are polls. The replay
+    // repeats them.
     let log = std::mem::take(&mut *tape.closed.lock().unwrap()).remove(&B).expect("it was recorded");
     let asked = log.iter().filter_map(|recorded| match recorded.step.input {
         Input::Request(Request::Get { time_out, .. }) => Some(time_out),
@@ -113,7 +114,7 @@ fn a_message_of_several_packets_is_the_last_of_its_call() {
     finish(node);
 }
 
-/// Two threads send, and the receiver waits whenever it has taken all messages that are there. No message is lost or taken
+/// Two threads send, and the receiver waits whenever it has taken all waiting messages. No message is lost or taken
 /// twice, and the messages of each sender stay in order.
 #[test]
 fn a_stream_arrives_whole_and_in_order() {

@@ -12,7 +12,7 @@ use imrs_runtime::link::{Link, LinkBusy, PollEnd, Sink};
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
-/// A link that hands over the packets that the test gives it, in the name of any neighbour.
+/// A link that hands over packets that the test makes, in the name of any neighbour.
 #[derive(Default)]
 struct Forger {
     state: Mutex<(Vec<(NodeId, Packet)>, bool)>,
@@ -116,7 +116,7 @@ fn a_packet_from_the_wrong_neighbour_is_dropped_counted_and_shown() {
     assert_eq!(told.iter().collect::<Vec<_>>(), [(A, 3), (B, 4)]);
 }
 
-/// Sends packets to `c`'s node, once there is a session with it.
+/// Sends packets to `c`'s node, once this link has a session with that node.
 fn sends(link: &UdpLink, packets: &[Packet]) {
     let (end, mut left) = (Instant::now() + LONG, packets);
     while !left.is_empty() {
@@ -130,7 +130,7 @@ fn sends(link: &UdpLink, packets: &[Packet]) {
     }
 }
 
-/// The node of `a` has keys of the cell, and claims to speak for `b`, the only user of a port.
+/// The node of `a` has keys of the cell, and sends packets in the name of `b`, which is the only user of a port.
 #[test]
 fn a_node_with_keys_is_not_believed_about_the_user_of_a_port_on_another_node() {
     let mut cell = star().cell().clone();
@@ -149,7 +149,7 @@ fn a_node_with_keys_is_not_believed_about_the_user_of_a_port_on_another_node() {
     });
     let node = node.start().unwrap();
     let job = |source, number| Packet { port: PortId(2), ..news(source, number) };
-    // In one datagram: what follows the forgeries shows that they were judged.
+    // All packets leave in one datagram. The arrival of the last packet shows that the forgeries before it were judged.
     sends(&links[0], &[job(B, 1), job(A, 2), news(A, 3)]);
     assert_eq!(told.recv_timeout(LONG), Ok((A, 3)));
     sends(&links[1], &[job(B, 4)]);

@@ -39,8 +39,8 @@ fn send_receive_reply_over_udp() {
     finish(second);
 }
 
-/// The incarnation that got the command ended before anything was heard from it. The next one says so with its first
-/// datagram.
+/// The incarnation that got the command ended before its sender received anything from it. The next incarnation says
+/// with its first datagram that it was restarted.
 #[test]
 fn a_restart_before_the_first_contact_is_told_to_the_sender_over_udp() {
     let mut cell = cell(&[0, 1], Ticks(1_000));

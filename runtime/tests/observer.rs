@@ -1,4 +1,4 @@
-//! Tests that a node shows itself, whatever its monitors do.
+//! Tests that a node can be observed, whatever its monitors do.
 
 use crate::common::monitor::{Folder, Monitor, NEW, PATIENCE, node, socket, want};
 use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, finish, one_node, report, table};
@@ -67,7 +67,8 @@ fn other_versions_and_too_many_are_refused_by_name() {
     let answer = Monitor::unix(socket(&observer)).hello((VERSION, SCHEMA ^ 1));
     assert_eq!(answer, Handshake::Refused(Refusal::OtherSchema { node: SCHEMA, monitor: SCHEMA ^ 1 }));
 
-    // A monitor that wants nothing for 5 s makes room. Each of these has read everything, and wants more only in an hour.
+    // A monitor that wants nothing for 5 s makes room for others. Each of these monitors has read everything, and wants
+    // its next frame only in an hour.
     let wants = || {
         let mut monitor = Monitor::unix(socket(&observer)).attach(NEW);
         monitor.say(&ClientFrame::Want(Want { period_us: u32::MAX, ..want() }));
@@ -84,14 +85,15 @@ fn other_versions_and_too_many_are_refused_by_name() {
     }
 }
 
-/// Eight monitors that want nothing must not keep others out for ever: the one that has been idle longest is disconnected.
+/// Eight monitors that want nothing must not keep other monitors out for ever: the monitor that has been idle longest
+/// is disconnected.
 #[test]
 fn idle_monitors_make_room() {
     let folder = Folder::new("crowd");
     let (runtime, tell) = node();
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
     let mut idle: Vec<_> = (0..MAX_MONITORS).map(|_| Monitor::unix(socket(&observer)).attach(NEW)).collect();
-    // The monitor that goes on wanting frames stays.
+    // The one monitor that goes on wanting frames stays connected.
     idle[0].subscribe(false, u16::MAX);
     let start = Instant::now();
     let mut new = loop {
@@ -109,7 +111,8 @@ fn idle_monitors_make_room() {
     drop(runtime);
 }
 
-/// A client that has not shown that it may look takes no place from clients that may, however many such clients there are.
+/// A client that has not proven its right to look takes no place from clients with that right, however many such
+/// clients there are.
 #[test]
 fn strangers_lock_nobody_out() {
     let (runtime, tell) = node();
@@ -117,7 +120,7 @@ fn strangers_lock_nobody_out() {
     let showing = Showing::new(runtime.node().clone()).token(Some(token.clone()));
     let observer = showing.start_tcp(SocketAddr::from(([127, 0, 0, 1], 0))).unwrap();
     let Place::Tcp(address) = *observer.place() else { panic!("over TCP") };
-    // As many clients as fit into the listener's queue, with the monitor behind them.
+    // As many clients as fit into the listener's queue connect first, and the monitor connects after them.
     let silent: Vec<_> = (0..60).map(|_| TcpStream::connect(address).unwrap()).collect();
     let mut greeted = Vec::new();
     for _ in 0..MAX_MONITORS {
@@ -131,7 +134,7 @@ fn strangers_lock_nobody_out() {
     let ServerFrame::Challenge(challenge) = monitor.next() else { panic!("no challenge") };
     monitor.say(&ClientFrame::Proof(token.proof(&challenge)));
     assert!(matches!(monitor.next(), ServerFrame::Table(_)));
-    // Clients that show no token are closed after a while.
+    // The node closes the connections of clients that show no token after a while.
     for mut stranger in greeted {
         assert!(matches!(stranger.reader.read_frame(), Err(FrameError::Closed)));
     }
@@ -163,7 +166,7 @@ fn garbage_and_silence_cost_the_sender_only() {
     monitor.subscribe(false, 2);
     assert!(matches!(monitor.next(), ServerFrame::Snapshot(_)));
     assert!(matches!(monitor.next(), ServerFrame::Snapshot(_)));
-    // Without credit no frame comes, until the monitor gives credit again.
+    // Without credit the monitor gets no frame, until it gives credit again.
     monitor.wait_for(Duration::from_millis(100));
     assert!(matches!(monitor.reader.read_frame(), Err(FrameError::NotReady)));
     monitor.wait_for(PATIENCE);
@@ -213,7 +216,7 @@ fn observing_changes_nothing_and_ends_without_a_trace() {
         .start()
         .unwrap();
     let mut observations = node.node().observe();
-    // The first question comes only now, so that the observer misses no observation of a question.
+    // The test lets the task ask its first question only now, so that the observer misses no observation of a question.
     tell.send(()).expect("the task listens");
     let (mut events, mut lost) = (Vec::new(), 0);
     while !node.wait(Duration::from_millis(1)) {
@@ -227,7 +230,7 @@ fn observing_changes_nothing_and_ends_without_a_trace() {
     let sent = events.iter().filter(|e| e.what.event == Event::Sent).count() as u64;
     let answered = events.iter().filter(|e| e.what.event == Event::Answered).count() as u64;
     assert!(sent <= 2_000 && answered <= 2_000);
-    // Every question makes two observations at `a`, and two at `b` or three if the message had to wait.
+    // Every question makes two observations at `a`. It makes two at `b`, or three if the message had to wait.
     let all = events.len() as u64 + lost;
     assert!((8_000..=10_000).contains(&all), "{all}, {lost} of them lost");
     let own: Vec<_> = events.iter().filter(|e| e.task == Some(A)).map(|e| e.what.number).collect();

@@ -1,5 +1,5 @@
-//! While a node is stopped, the time counts as waiting time: commands and news that expired meanwhile reach no task (D20,
-//! D50).
+//! The time for which a node is stopped counts as waiting time: commands and news that expired meanwhile reach no task
+//! (D20, D50).
 
 use crate::common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, network, report, table};
 use imrs_protocol::{
@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 /// How long the node stays stopped.
 const STOP: Duration = Duration::from_millis(300);
 const STOP_US: u64 = 300_000;
-/// The time_out of messages that must not survive the stop.
+/// The time_out of messages that must expire during the stop.
 const SHORT: Ticks = Ticks(200_000);
 /// How many messages of each kind are sent.
 const COPIES: u8 = 5;
@@ -26,13 +26,13 @@ const COPIES: u8 = 5;
 /// The point of its work at which the node is stopped.
 #[derive(Clone, Copy, PartialEq)]
 enum Where {
-    /// Before the node checks the link, as long as the gate is closed.
+    /// The node is stopped before it checks the link, as long as the gate is closed.
     BeforeThePoll,
-    /// After the link has computed the charge of the hop, for [`STOP`].
+    /// The node is stopped for [`STOP`] after the link has computed the charge of the hop.
     BeforeTheSink,
 }
 
-/// A link that stops its node at times.
+/// A link that stops its node at the chosen point.
 struct Stopping<L> {
     inner: L,
     stop: Where,
@@ -86,7 +86,7 @@ impl<L: Link> Link for Stopping<L> {
     }
 }
 
-/// Stops a task that waits in the link where it would stop the receiving thread.
+/// If a task waits in the link, this stops that task where it would otherwise stop the receiving thread.
 impl<L: Link> Leading for Stopping<L> {
     fn wait(&self, left: Option<Duration>) -> Came {
         self.pass();
@@ -159,10 +159,10 @@ fn only_what_lives_arrives<L: Link + 'static>(table: &Arc<CellTable>, links: [L;
             numbers.extend_from_slice(news.contents.as_bytes());
             tell.send(news.budget).expect("the test listens");
         }
-        // The order may differ, because a packet that a stopped thread had in its hands counts as older.
+        // The order may differ, because a packet that a stopped thread was handling counts as older than others.
         numbers.sort_unstable();
         assert!(numbers.iter().copied().eq(0..COPIES), "{numbers:?}");
-        // No further message comes.
+        // No further message arrives.
         assert_eq!(ctx.receive(None, Some(Duration::from_millis(50)))?, None);
         Ok(())
     });
@@ -228,7 +228,8 @@ fn a_node_stopped_between_the_link_and_its_tasks() {
     over_both_links(Where::BeforeTheSink);
 }
 
-/// A link whose node is stopped while its packets leave: the link's clock is read later than the node's.
+/// A link whose node is stopped while its packets leave: the node's clock is read before the stop, and the link's clock
+/// after it.
 struct LateSender<L>(L);
 
 impl<L: Link> Link for LateSender<L> {
@@ -250,7 +251,7 @@ impl<L: Link> Link for LateSender<L> {
     }
 }
 
-/// The charge of a packet from a node that is stopped while it sends, once its clock is known.
+/// The charge of a packet from a node that is stopped while it sends. The receiver knows that node's clock by then.
 fn charge_of_a_late_packet(links: [impl Link + 'static; 2]) -> Ticks {
     let [first, second] = links;
     let first: Arc<dyn Link> = Arc::new(FaultyLink::new(LateSender(FaultyLink::new(first, 0)), 0));
@@ -271,7 +272,7 @@ fn charge_of_a_late_packet(links: [impl Link + 'static; 2]) -> Ticks {
         contents: imrs_protocol::Contents::EMPTY,
         seal: Seal::NONE,
     };
-    // One packet in each direction, so that the second node knows the clock of the first.
+    // The nodes send one packet in each direction, so that the second node knows the clock of the first.
     assert_eq!(second.send(NodeId(0), &[packet]), Ok(1));
     let end = Some(Instant::now() + LONG);
     let received = |link: &dyn Link, count| {
@@ -302,8 +303,8 @@ fn a_node_stopped_while_it_sends_through_layers_of_links() {
     assert!(charges.iter().all(|charge| charge.0 >= STOP_US), "{charges:?}");
 }
 
-/// A link that takes a long time to refuse a packet. The first time takes so long that another packet of the node enters the
-/// buffer meanwhile.
+/// A link that takes a long time to refuse a packet. The first refusal takes so long that another packet of the node
+/// enters the buffer meanwhile.
 struct Refusing<L> {
     inner: L,
     refused: AtomicBool,

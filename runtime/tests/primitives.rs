@@ -157,7 +157,7 @@ fn a_full_buffer_refuses_at_once() {
         })
         .task("c", move |ctx| {
             first.1.recv().expect("a has asked");
-            // The buffer holds one message, so the second sender finds it full.
+            // The port's buffer holds one message, so the second sender finds it full.
             let ask = ctx.port("ask")?;
             assert_eq!(ctx.send(ask, b"c")?, Sent::Outcome(Outcome::Refused));
             second.0.send(()).expect("b listens");
@@ -200,7 +200,7 @@ fn a_reply_after_the_budget_is_late_and_a_second_one_answers_nothing() {
     finish(node);
 }
 
-/// Lets three tasks meet again and again. The counters of a round prove that all had arrived when a task was released.
+/// Lets three tasks meet repeatedly. The counters of a round prove that all tasks had arrived when a task was released.
 fn meet(
     rounds: u32,
     counts: Arc<[AtomicU32]>,
@@ -246,7 +246,7 @@ fn three_nodes_meet_many_times_while_packets_overtake_each_other() {
         .map(|(node, task)| on(&network, &table, node).task(task, program.clone()))
         .collect();
     let nodes: Vec<_> = builders.into_iter().map(|node| node.start().unwrap()).collect();
-    // No node ends before all have met, because another node may still ask for a CONFIRM.
+    // No node ends before all tasks have met, because another node may still ask for a CONFIRM.
     assert!(nodes.iter().all(|node| node.wait(LONG)));
     nodes.into_iter().for_each(finish);
 }

@@ -1,5 +1,5 @@
-//! The tests that count what the whole process does, or stop it: allocations, memory, sleeps of threads, a crash. They run
-//! one at a time: each test first takes the turn ([`alone`]).
+//! The tests that count what the whole process does, or stop it: allocations, memory, sleeps of threads, a crash. They
+//! run one at a time: each test first takes a lock ([`alone`]).
 
 mod allocation;
 mod allocator;
@@ -16,9 +16,9 @@ mod watching_cost;
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Takes the turn of a test. The test holds it until its end, so that nothing of another test is counted.
+/// Takes the lock of these tests. A test holds it until its end, so that it counts nothing of another test.
 fn alone() -> MutexGuard<'static, ()> {
     static TURN: Mutex<()> = Mutex::new(());
-    // A test that failed has given up its turn.
+    // The lock of a failed test is poisoned, and free.
     TURN.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,4 +1,4 @@
-//! Tests that a recording gives back exactly what a task's log took. Without room or disk it reports its losses (D62).
+//! Tests that a recording returns exactly the steps that a task's log took. Without room or disk it reports its losses (D62).
 
 use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, finish, one_node, table};
 use imrs_protocol::{
@@ -18,7 +18,7 @@ struct Disk(Arc<(Mutex<Platter>, Condvar)>);
 
 struct Platter {
     held: bool,
-    /// Whether a write waits, or has waited.
+    /// Whether a write waits for the disk, or has waited.
     stuck: bool,
     size: usize,
     bytes: Vec<u8>,
@@ -91,7 +91,7 @@ fn wait_for(what: &str, mut done: impl FnMut() -> bool) {
     }
 }
 
-/// Only the node owns the recorder, so the recording ends when the node does, and not before.
+/// Only the node owns the recorder, so the recording ends when the node ends, and not before.
 #[test]
 fn a_recording_lasts_as_long_as_its_node() {
     const TIMES: usize = 50;
@@ -122,7 +122,7 @@ fn a_recording_lasts_as_long_as_its_node() {
     wait_for("the recording does not end with its node", is_ended);
     let inputs =
         |of| disk.records().iter().filter(|r| matches!(r, Record::Input { task, .. } if *task == of)).count();
-    // For `a` these are the request and its answer; for `b` the receive, the message and the reply.
+    // For task `a` these inputs are the request and its answer; for task `b` they are the receive, the message and the reply.
     assert!(inputs(A) >= 2 * TIMES && inputs(B) >= 3 * TIMES, "{} and {}", inputs(A), inputs(B));
 }
 
@@ -295,7 +295,7 @@ fn a_task_has_one_log_and_that_of_another_node_none() {
 
 const TICK: Step = Step { elapsed: Ticks(1), input: Input::Time };
 
-/// Records the same step until one is lost. Returns how many steps were recorded.
+/// Records the same step until a step is lost. Returns how many steps were recorded.
 fn fill(recorder: &FileRecorder, log: &mut dyn Log) -> u64 {
     let before = recorder.status().expect("it runs").lost;
     (0..)
@@ -312,7 +312,8 @@ fn a_keyframe_is_wanted_once_the_disk_keeps_up_again_and_nothing_is_recorded_bef
     let (recorder, here) = recorder(&disk, no_failure);
     let (mut stream, mut other) = (log(&recorder, A), log(&recorder, B));
     disk.hold(true);
-    // The writing thread takes some records with it when it begins to wait. From then on it makes no room.
+    // When the writing thread begins to wait for the disk, it has taken some records from the lane. From then on it
+    // makes no room.
     let mut taken = 0;
     wait_for("the disk to be stuck", || {
         assert!(!stream.step(&TICK, OutputDigest(0)), "there is room for all of these");

@@ -21,7 +21,7 @@ use std::time::{Duration, Instant};
 
 const ASK: PortId = PortId(0);
 
-/// A script that asks `times` times and ends. It aborts if an answer is not one more than the question.
+/// A script that asks `times` questions and ends. It aborts if an answer is not one more than its question.
 fn asker(times: i64) -> Arc<Program> {
     let mut b = ProgramBuilder::new("a");
     let (n, answer) = (b.variable("n", Type::Int16), b.variable("answer", Type::Int16));
@@ -49,7 +49,7 @@ fn asker(times: i64) -> Arc<Program> {
     Arc::new(b.finish().expect("a sound program"))
 }
 
-/// A script that answers each question with the received number plus one, for ever.
+/// A script that answers each question with the received number plus one, in an endless loop.
 fn answerer() -> Arc<Program> {
     let mut b = ProgramBuilder::new("b");
     let n = b.variable("n", Type::Int16);
@@ -119,8 +119,7 @@ fn a_script_and_a_rust_task_share_a_node() {
 fn two_scripts_of_a_node_that_answer_each_other_for_ever_in_no_time_are_stopped() {
     let mut cell = cell(&[0, 0], Ticks(2_000));
     cell.port(ask(LONG_TICKS));
-    // The number of questions exceeds the number of steps that two scripts may take before an input comes
-    // from outside.
+    // There are more questions than steps that two scripts may take before the next input from outside.
     let node = one_node(&table(cell)).script("a", asker(30_000)).script("b", answerer()).start().unwrap();
     let deadline = Instant::now() + LONG;
     let alive = |node: &Runtime| {
@@ -239,7 +238,7 @@ fn an_action_is_simulated_a_command_or_a_function() {
     assert_eq!(act_with(Arc::new(panicking)), TaskEnd::Script(End::Aborted(0)));
 }
 
-/// An executor that reports when an action begins, and when it was stopped.
+/// An executor of actions that reports when an action begins, and when it was stopped.
 struct Told(std::sync::mpsc::Sender<&'static str>, Mutex<Vec<Ending>>);
 
 impl Actions for Told {
@@ -325,7 +324,7 @@ fn a_command_that_is_cut_short_is_killed() {
     std::fs::remove_file(&dir).expect("the mark");
     assert!(std::path::Path::new(&format!("/proc/{pid}")).exists());
     assert_eq!(end_of(node, "a"), TaskEnd::Returned);
-    // A node that stops waits for the end of a command only for a while.
+    // A node that stops waits only for a limited time until a command has ended.
     let deadline = Instant::now() + LONG;
     while std::path::Path::new(&format!("/proc/{pid}")).exists() {
         assert!(Instant::now() < deadline, "the command runs on");
@@ -348,7 +347,7 @@ impl Watch for StandsStill {
     }
 }
 
-/// An executor that records which actions began.
+/// An executor of actions that records which actions began.
 struct Began(Mutex<Vec<String>>);
 
 impl Actions for Began {
@@ -359,7 +358,7 @@ impl Actions for Began {
     }
 }
 
-/// A script that acts once it has the lease.
+/// A script that begins an action once it has the lease.
 fn welder() -> Arc<Program> {
     let mut b = ProgramBuilder::new("a");
     b.statement().op(Op::Lease).run("weld", Ticks(1_000), LONG_TICKS).end();

@@ -7,7 +7,7 @@ use imrs_runtime::{AsyncContext, Context, Rendezvous, Runtime, SPIN_TAIL, Sent};
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
-/// A generous limit, because the machine may be busy.
+/// A generous limit for the lateness of a wait, because the machine may be busy.
 const LATE: Duration = Duration::from_secs(120);
 
 fn timed<T>(call: impl FnOnce() -> T) -> (T, Duration) {
@@ -27,7 +27,7 @@ fn delays_and_empty_waits_never_end_early() {
     }
 }
 
-/// Lengths of delays about as long as the spin tail, and longer ones.
+/// Lengths of delays: some about as long as the Timer thread spins (its spin tail), and longer ones.
 fn lengths(step: usize) -> impl Iterator<Item = Duration> {
     (0..16).chain((16..2_000).step_by(step)).map(|micros| Duration::from_nanos(micros * 1_001))
 }
@@ -104,7 +104,7 @@ fn whoever_waits_for_missing_tasks_gives_up_and_knows_who_is_missing() {
     finish(one_node(&table).task("a", wait).task("b", wait).task("c", |_| Ok(())).start().unwrap());
 }
 
-/// A link that accepts nothing.
+/// A link that takes no packet.
 #[derive(Default)]
 struct Busy {
     woken: Mutex<bool>,
@@ -169,7 +169,7 @@ fn a_waiting_message_expires_though_nobody_looks() {
             }
             Ok(())
         })
-        // The thread of this task is busy with something else, so the Timer thread must serve the expiry.
+        // The thread of this task is busy, so the Timer thread must serve the expiry.
         .task("b", move |ctx| {
             expire.recv().expect("the test waits for that");
             assert_eq!(ctx.poll(None)?, None);

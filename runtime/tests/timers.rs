@@ -20,7 +20,7 @@ const SHORT: Ticks = Ticks(200_000);
 const COMMANDS: u32 = 1_000;
 const NEWS: u16 = 8;
 
-/// For each thread that was seen, how late the kernel may end its sleeps, in nanoseconds.
+/// For each thread that called this value: how late the kernel may end the thread's sleeps, in nanoseconds.
 #[derive(Default)]
 struct Slacks {
     of: Mutex<Vec<(String, u64)>>,
@@ -39,7 +39,7 @@ impl Slacks {
     }
 }
 
-/// The threads that run the state machines call these functions.
+/// The threads that run the state machines call the functions of this recorder.
 impl Recorder for Slacks {
     fn log(self: Arc<Self>, _task: TaskId) -> Option<Box<dyn Log>> {
         Some(Box::new(NotesSlack(self)))
@@ -55,7 +55,7 @@ impl Log for NotesSlack {
     }
 }
 
-/// The receiving thread calls these functions; the link does nothing else.
+/// The receiving thread calls the functions of this link; the link does nothing else.
 impl Link for Slacks {
     fn ready(&self, _next: NodeId) -> bool {
         false
@@ -118,7 +118,7 @@ fn a(ctx: &mut Context, answered: &std::sync::mpsc::Sender<()>) -> Result<(), Ta
     Ok(())
 }
 
-/// The program of `b`: it answers the commands; after the stop it must find no expired news.
+/// The program of `b`: it answers the commands. After the stop it must find no expired news.
 fn b(ctx: &mut Context, gate: &Receiver<()>) -> Result<(), TaskError> {
     let ask = ctx.port("ask")?;
     for _ in 0..COMMANDS {
@@ -130,8 +130,8 @@ fn b(ctx: &mut Context, gate: &Receiver<()>) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// The program of `c`: it delays while the process stands still. Each delay takes its full time, the one that the stop
-/// interrupts and those after it.
+/// The program of `c`: it makes delays, and the process stands still during one of them. Each delay takes its full
+/// time: the one that the stop interrupts, and those after it.
 fn c(ctx: &mut Context) -> Result<(), TaskError> {
     const LENGTH: Duration = Duration::from_millis(20);
     let begin = Instant::now();

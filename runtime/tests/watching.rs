@@ -1,5 +1,5 @@
-//! Tests of what version 1.1 of the observation protocol added: changes, watched queues, metrics of the process, the clock,
-//! tokens, and the addresses of the other nodes. Monitors of version 1.0 must see none of it.
+//! Tests of the frames that version 1.1 of the observation protocol added: changes, watched queues, metrics of the
+//! process, the clock, tokens, and the addresses of the other nodes. Monitors of version 1.0 must get none of them.
 
 use crate::common::monitor::{Folder, Monitor, NEW, OLD, PATIENCE, node, socket, want};
 use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, network, on, one_node, table};
@@ -51,14 +51,14 @@ fn what_changed_adds_up_to_the_state_and_watched_queues_tell_more() {
         let port = state.tasks[1].view.ports.iter().find(|port| port.port == news)?;
         (port.queue.len() == 3 && enqueued == 3 && seen == 3).then_some(())
     });
-    // Except for the time, the changes add up to the node's own snapshot.
+    // Except for the time, the applied changes give the node's own snapshot.
     let direct = runtime.node().snapshot(0);
     assert_eq!(state.discards, direct.discards);
     let counters = |state: &Snapshot| -> Vec<_> {
         state.tasks.iter().flat_map(|task| &task.view.ports).map(|port| (port.len, port.counters)).collect()
     };
     assert_eq!(counters(&state), counters(&direct));
-    // On request the whole state comes again, without the queues that are no longer watched.
+    // On request the whole state is sent again, without the queues that are no longer watched.
     monitor.say(&ClientFrame::Want(want()));
     monitor.say(&ClientFrame::Whole);
     monitor
@@ -101,7 +101,7 @@ fn monitors_of_version_1_0_see_what_they_always_saw() {
 /// The version and schema of programs that speak version 1.1.
 const SECOND: (Version, u32) = (Version { major: 1, minor: 1 }, 0x17ad_ceff);
 
-/// A restarted node with a script that is held back. A port to another node has this time_out.
+/// A restarted node with a script that is held back. `time_out` is that of a port to another node.
 fn restarted(time_out: Ticks) -> Runtime {
     let mut cell = cell(&[0, 1], Ticks(2_000));
     cell.port(ask(time_out));
@@ -127,8 +127,8 @@ fn a_restarted_node_tells_for_how_long_its_scripts_are_held_back() {
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
     let mut monitor = Monitor::unix(socket(&observer)).attach(NEW);
     monitor.say(&ClientFrame::Want(want()));
-    // The frame comes before the first state, for a monitor that looks only once; then it comes again, for a monitor that
-    // begins to record.
+    // The frame about held-back scripts is sent before the first state, for a monitor that looks only once. Then it is
+    // sent again, for a monitor that begins to record.
     let ServerFrame::HeldBack(first) = monitor.next() else { panic!("what is held back comes first") };
     assert_eq!(first.tasks.iter().map(|held| held.task).collect::<Vec<_>>(), [A]);
     let mut state = Snapshot::default();
@@ -153,8 +153,8 @@ fn what_is_held_back_begins_once_and_is_then_told_no_more() {
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
     let mut monitor = Monitor::unix(socket(&observer)).attach(NEW);
     monitor.say(&ClientFrame::Want(want()));
-    // This is read before the script begins. A monitor that first asks when no script is held back any more gets no such
-    // frame.
+    // The first frame is read before the script begins. A monitor that subscribes when no script is held back any more
+    // gets no such frame.
     let ServerFrame::HeldBack(first) = monitor.next() else { panic!("what is held back comes first") };
     let started = Instant::now();
     while let Some(next) = runtime.begin() {
@@ -200,7 +200,7 @@ fn the_process_and_its_clock_are_told() {
     assert!(lateness.p50_us <= lateness.p99_us && lateness.p99_us <= lateness.max_us, "{lateness:?}");
 }
 
-/// The node has so many tasks that the next state is due before the previous one has been sent, as on a very busy machine.
+/// The node has so many tasks that the next state is due before the previous state has been sent, as on a very busy machine.
 #[test]
 fn a_state_that_takes_longer_than_its_period_leaves_the_rest_its_turn() {
     const TASKS: usize = 24_000;
@@ -258,7 +258,7 @@ fn over_tcp_a_token_keeps_others_out() {
     let other = Token::of("a token of another test").unwrap();
     let (wrong, missing) = (ServerFrame::Denied(Denied::WrongToken), ServerFrame::Denied(Denied::NoToken));
     assert_eq!(denied(&|challenge| ClientFrame::Proof(other.proof(challenge))), wrong);
-    // A recorded proof is one of another connection.
+    // A recorded proof is invalid, because it belongs to another connection.
     let recorded = token.proof(&challenged().1);
     assert_eq!(denied(&|_| ClientFrame::Proof(recorded)), wrong);
     assert_eq!(denied(&|_| ClientFrame::Want(want())), missing);

@@ -1,5 +1,5 @@
-//! Tests of what monitors cost a node: a hostile monitor costs hardly any memory (M4), a watched message costs no allocation
-//! (M5), and no event goes missing uncounted (M13).
+//! Tests of what monitors cost a node: a hostile monitor costs hardly any memory (M4), a watched message costs no
+//! allocation (M5), and every missing event is counted (M13).
 
 use crate::allocator::{ByThread, live};
 use crate::alone;
@@ -39,8 +39,8 @@ impl Drop for Socket {
 
 const NEWS: PortId = PortId(0);
 
-/// A node whose task `a` sends as many messages as the test orders, and whose task `b` takes as many as it can. Then `a`
-/// reports how often the two threads allocated meanwhile.
+/// A node whose task `a` sends as many messages as the test orders, and whose task `b` takes as many as it can. Then
+/// `a` reports how often the two threads allocated since the order.
 fn node() -> (Runtime, Sender<u32>, Receiver<u64>) {
     let mut cell = cell(&[0, 0], Ticks(0));
     cell.port(PortDecl::new("news", A, Usage::Send, &[B], LONG_TICKS).bounded_buffer(16));
@@ -101,7 +101,7 @@ fn attach(socket: &Socket, want: Want) -> UnixStream {
     stream
 }
 
-/// M4: the monitors are one that never reads, one that reads a byte at a time, and many that send nonsense.
+/// M4: one monitor never reads, one reads a byte at a time, and many send nonsense.
 #[test]
 fn hostile_monitors_cost_a_bounded_amount_of_memory() {
     let _alone = alone();
@@ -177,7 +177,7 @@ fn a_watched_message_allocates_nothing() {
     stop(runtime);
 }
 
-/// M13: the events that happened are as many as those shown plus those counted as lost, even if the reader is far too slow.
+/// M13: the number of events that happened equals those shown plus those counted as lost, even if the reader is far too slow.
 #[test]
 fn no_event_goes_missing_uncounted() {
     let _alone = alone();
@@ -199,11 +199,11 @@ fn no_event_goes_missing_uncounted() {
                     if told.send(frame).is_err() {
                         return;
                     }
-                    // From the first change on the events are followed, and this thread reads none of them for a while.
+                    // The node's events are followed from the first change on, and this thread reads no event for a while.
                     if is_change {
                         let _ = stands_still.recv();
                     }
-                    // Now and then the reader pauses.
+                    // The reader pauses once in a while.
                     if fastrand::u8(..) < 8 {
                         thread::sleep(Duration::from_millis(30));
                     }

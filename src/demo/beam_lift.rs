@@ -6,11 +6,11 @@ use imrs_launch::script_event::{Did, ScriptEvent};
 use imrs_launch::{Outcome, Story};
 use imrs_protocol::TaskId;
 
-/// Longest delay in microseconds from the stop of one arm to that of the other, even on a busy machine. An arm that moves
-/// longer than that counts as going on alone.
+/// The longest delay, in microseconds, from the stop of one arm to the stop of the other, even on a busy machine. An
+/// arm that moves longer than that counts as going on alone.
 const ALONE: u64 = 1_000_000;
 
-/// A movement of an arm: when it started, and when it stopped, if it did.
+/// A movement of an arm: when it started, and when it stopped, if it has stopped.
 #[derive(Clone, Copy, Debug)]
 struct Movement {
     from: u64,
@@ -107,7 +107,7 @@ fn why(story: &Story<'_>, arm: TaskId, at: u64) -> Option<String> {
     })
 }
 
-/// Says in words how an arm moved on after its partner had stopped, if it did.
+/// Says in words for how long an arm moved on after its partner had stopped, if it did so.
 fn alone(story: &Story<'_>, own: &[Movement], partner: &[Movement], arm: TaskId) -> Option<String> {
     if story.died(arm).is_some() {
         return None;
@@ -157,7 +157,7 @@ fn apart(story: &Story<'_>, skew: u64) -> String {
     }
 }
 
-/// Describes what happened after the cut.
+/// Describes what the run counted after the cut.
 fn afterwards(story: &Story<'_>, at: u64) -> String {
     let expired: u64 =
         story.summary.nodes.iter().flat_map(|node| node.discards.iter()).filter_map(expired).sum();
@@ -183,7 +183,7 @@ fn expired((name, count): (&String, &u64)) -> Option<u64> {
     name.starts_with("expired").then_some(*count)
 }
 
-/// Describes killed nodes, and the tasks that waited for them no longer than their time_outs.
+/// Describes the nodes that were killed, and the tasks that waited for them no longer than their time_outs.
 fn waiting(story: &Story<'_>) -> Vec<String> {
     let mut words = Vec::new();
     for (at, fault) in &story.faults {

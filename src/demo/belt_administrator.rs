@@ -6,7 +6,7 @@ use imrs_launch::script_event::{Did, ScriptEvent};
 use imrs_launch::{Outcome, Story};
 use imrs_protocol::TaskId;
 
-/// The most that one change may alter the speed, in mm/s.
+/// The greatest change of the speed in one step, in mm/s.
 const STEP: i64 = 100;
 /// Two requests that are at most this far apart, in microseconds, belong to one period.
 const TOGETHER: u64 = 10_000;
@@ -52,7 +52,7 @@ pub fn explain(story: &Story<'_>) -> Outcome {
     Outcome { held, words }
 }
 
-/// The argument of the action `name`, if this event is its beginning.
+/// The argument of the action `name`, if this event is the beginning of that action.
 fn argument(did: &Did, name: &str) -> Option<i64> {
     match &did.what {
         ScriptEvent::Begins { action, arguments } if action == name => arguments.first()?.parse().ok(),

@@ -6,10 +6,10 @@ use imrs_launch::script_event::ScriptEvent;
 use imrs_launch::{Outcome, Story};
 use imrs_protocol::TaskId;
 
-/// Longest time in microseconds from the end of the pause to the next grip, even on a busy machine.
+/// The longest time, in microseconds, from the end of the pause to the next grip, even on a busy machine.
 const JAMMED: u64 = 3_000_000;
 
-/// Explains how many parts were handed on, and what the suspended camera cost.
+/// Explains how many parts were handed on, and the effect of the camera's suspension.
 pub fn explain(story: &Story<'_>) -> Outcome {
     let (Some(pick), Some(place)) = (story.task("pick"), story.task("place")) else {
         return Outcome::default();

@@ -31,7 +31,7 @@ pub fn explain(story: &Story<'_>) -> Outcome {
     if let Some(at) = taken {
         words.push(spot_in_words(story, primary, standby, at));
     }
-    // The cell's own check takes the end of a lease on time, even if a suspended node notices that end late.
+    // This uses the cell's own check: it takes the end of a lease on time, even if a suspended node notices that end late.
     let one_active = story.summary.checks.named("one_active");
     let twice = welded_twice(story, primary, standby);
     let killed = story.died(primary).is_some_and(|at| at + 2 * couple.takeover.0 < story.ended);
@@ -74,7 +74,7 @@ fn fault_in_words(story: &Story<'_>, at: u64, fault: Fault, primary: TaskId) -> 
     }
 }
 
-/// The action that a task was executing at an instant: `weld 3`.
+/// The action that a task was executing at an instant, as text: `weld 3`.
 fn under_way(story: &Story<'_>, task: TaskId, at: u64) -> Option<String> {
     let mut last = story.of(task).filter(|did| did.at <= at).filter(|did| {
         matches!(
@@ -126,7 +126,7 @@ fn spot_in_words(story: &Story<'_>, primary: TaskId, standby: TaskId, taken: u64
     }
 }
 
-/// A spot that the first robot finished, and that the second one welded again without a look.
+/// A spot that the first robot finished, and that the second robot welded again without an inspection.
 fn welded_twice(story: &Story<'_>, primary: TaskId, standby: TaskId) -> Option<String> {
     let done = welded(story, primary);
     let mut looked_at: Vec<String> = Vec::new();

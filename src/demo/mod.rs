@@ -35,9 +35,10 @@ pub struct Scene {
     introduction: &'static str,
     /// How long the demo runs.
     length: Duration,
-    /// The demo's fault; none if the cell itself causes the trouble.
+    /// The demo's fault; `None` if the cell itself causes the trouble.
     moment: Option<Moment>,
-    /// How results of simulated actions change with time: the action, the action that starts the change, and its duration.
+    /// Simulated actions whose result changes with time. For each: the action, the action that starts the change, and
+    /// how long the change takes.
     ramps: &'static [(&'static str, &'static str, Duration)],
     /// Explains what happened, and says whether the promise was kept.
     explain: fn(&Story<'_>) -> Outcome,
@@ -170,7 +171,7 @@ pub fn cells() -> impl Iterator<Item = Loaded> {
     SCENES.iter().filter_map(|scene| scene.load().ok())
 }
 
-/// Runs a demo.
+/// Runs the demo that the user chose.
 ///
 /// # Errors
 /// [`Failure`].
@@ -205,7 +206,7 @@ mod tests {
     use super::*;
     use imrs_protocol::TaskId;
 
-    /// The time_out of a waitfor is well above its margin (D65).
+    /// The time_out of a waitfor must be well above its margin (D65).
     #[test]
     fn the_beam_lift_leaves_time_to_meet_again() {
         let table = beam_lift();
@@ -214,7 +215,7 @@ mod tests {
         assert!(lift.decl.time_out.0 > 10 * lift.margin.0, "{:?} on {:?}", lift.decl.time_out, lift.margin);
     }
 
-    /// The explanation finds out why an arm has stopped by the handler in which it stopped.
+    /// The explanation recognises why an arm has stopped by the handler in which it stopped.
     #[test]
     fn a_statement_of_a_handler_leads_to_its_head() {
         let (loaded, text) = (SCENES[0].load().expect("a sound cell"), SCENES[0].text);

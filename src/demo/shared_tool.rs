@@ -7,11 +7,11 @@ use imrs_launch::script_event::ScriptEvent;
 use imrs_launch::{Outcome, Story};
 use imrs_protocol::TaskId;
 
-/// How much later than the cell allows the tool of a killed robot may become free, in microseconds, because the machine may
-/// be busy.
+/// How much later than the cell declares the tool of a killed robot may become free, in microseconds, because the
+/// machine may be busy.
 const LATE: u64 = 3_000_000;
 
-/// A time in which a robot has the tool.
+/// An interval during which a robot had the tool.
 #[derive(Clone, Copy, Debug)]
 struct Holding {
     by: TaskId,
@@ -52,7 +52,7 @@ pub fn explain(story: &Story<'_>) -> Outcome {
     Outcome { held: if two.is_some() { Some(false) } else { freed }, words }
 }
 
-/// The times in which a robot had the tool: while it dresses or cleans, and at most until its node is killed.
+/// The intervals during which a robot had the tool: while it dresses or cleans, and at most until its node is killed.
 fn holdings(story: &Story<'_>, robot: TaskId) -> Vec<Holding> {
     let mut all: Vec<Holding> = Vec::new();
     let uses = |action: &str| action == "dress" || action == "clean";
@@ -79,7 +79,7 @@ fn holdings(story: &Story<'_>, robot: TaskId) -> Vec<Holding> {
     all
 }
 
-/// Describes how often the robots asked, and the outcomes.
+/// Describes how often the robots asked for the tool, and the outcomes.
 fn asking(story: &Story<'_>) -> String {
     let Some(grab) = story.summary.ports.iter().find(|port| port.name == "grab") else {
         return String::new();
@@ -99,8 +99,8 @@ fn turns(story: &Story<'_>, robot: TaskId, held: &[Holding]) -> String {
     format!("{} had it {}.", story.name(robot), count(u64::try_from(had).unwrap_or(u64::MAX), "time"))
 }
 
-/// Describes what happened to the tool of a killed robot. Returns whether another robot had the tool in time; `None` if the
-/// run ended before that.
+/// Describes what happened to the tool of a killed robot. Returns whether another robot had the tool in time; `None` if
+/// the run ended before that time.
 fn after_death(story: &Story<'_>, dead: Holding, held: &[Holding], words: &mut Vec<String>) -> Option<bool> {
     let name = story.name(dead.by);
     words.push(format!("At {} the node of {name} was killed, and {name} had the tool.", story.at(dead.to)));

@@ -4,7 +4,8 @@ use super::Entry;
 
 macro_rules! reasons {
     ($($code:literal $title:literal;)*) => {
-        /// All reasons that have a page here. Those that a warning of the monitor also has are explained with the warning.
+        /// All reasons that have a page in this file. A reason that is also a warning of the monitor is explained with
+        /// the warning.
         pub(super) const ALL: &[Entry] = &[$(Entry {
             code: $code,
             title: $title,

@@ -1,5 +1,5 @@
-//! Draws a cell for Graphviz: a cluster per node, and an edge between the owner of a port and each user, from the sender of the
-//! first message to its receiver. A dashed edge is the answer.
+//! Draws a cell for Graphviz: a cluster per node, and an edge between the owner of a port and each user, from the
+//! sender of the first message to its receiver. A dashed edge stands for the answer.
 
 use super::{flow, label, links};
 use imrs_language::hir::Hir;

@@ -12,7 +12,7 @@ use imrs_language::hir::{Hir, Port};
 use imrs_language::{compile, render};
 use imrs_protocol::{Class, Usage};
 
-/// Draws a cell.
+/// Draws a cell in the form that the user chose.
 ///
 /// # Errors
 /// [`Failure`].
@@ -32,7 +32,7 @@ pub fn run(args: &GraphArgs, out: &mut Output) -> Result<Exit, Failure> {
     Ok(Exit::Well)
 }
 
-/// The label of a port's arrow, with the usage of the side that begins: `beat: query, class 2, 5 ms`.
+/// The label of a port's arrow. It names the usage of the task that sends first: `beat: query, class 2, 5 ms`.
 fn label(port: &Port) -> String {
     let class = match port.class {
         Class::Status => 1,
@@ -49,7 +49,7 @@ struct Flow {
     /// Whether the first message goes to the users, and whether it goes to the owner.
     to_users: bool,
     to_owner: bool,
-    /// Whether the answer goes to the owner; none if there is no answer.
+    /// Whether the answer goes to the owner; `None` if there is no answer.
     answer_to_owner: Option<bool>,
 }
 
@@ -59,7 +59,7 @@ const fn flow(usage: Usage) -> Flow {
         Usage::Receive => (false, true, None),
         Usage::Query => (true, false, Some(true)),
         Usage::Response => (false, true, Some(false)),
-        // At a waitfor, every party tells all others that it has arrived.
+        // At a waitfor, every party tells all other parties that it has arrived.
         Usage::Waitfor => (true, true, None),
     };
     Flow { to_users, to_owner, answer_to_owner }

@@ -1,6 +1,6 @@
-//! Draws a cell as SVG: the nodes in a row with their tasks, and below them one row per port. Arrows follow the messages
-//! between the owner and the users; a white head marks the answer. Nothing overlaps, and the same cell always gives the same
-//! picture.
+//! Draws a cell as SVG: the nodes in a row with their tasks, and below them one row per port. Arrows follow the
+//! messages between the owner and the users; a white head stands for the answer. Nothing overlaps, and the same cell
+//! always gives the same picture.
 
 use super::{flow, label, links};
 use imrs_language::hir::{Hir, Port};
@@ -45,7 +45,7 @@ pub(super) fn draw(hir: &Hir) -> String {
     out
 }
 
-/// The horizontal layout.
+/// The horizontal layout of the picture.
 struct Plan {
     /// The left and the right edge of each node.
     nodes: Vec<(usize, usize)>,
@@ -118,7 +118,7 @@ fn arrow(port: &Port, plan: &Plan, y: usize, width: usize, out: &mut String) {
     let label = label(port);
     let half = label.chars().count() * CHARACTER / 2 + MARGIN / 2;
     let middle = ((least + most) / 2).min(width.saturating_sub(half)).max(half);
-    // A white background keeps the lines off the letters; not every program can draw outlined letters.
+    // A white background keeps the lines away from the letters, because not every program can draw outlined letters.
     let ground = label.chars().count() * CHARACTER;
     let _ = writeln!(
         out,
@@ -129,7 +129,7 @@ fn arrow(port: &Port, plan: &Plan, y: usize, width: usize, out: &mut String) {
     text(out, (middle, y - 8), "middle", &label);
 }
 
-/// The head of an arrow from the side of `from`.
+/// The head of an arrow that comes from the horizontal position `from`.
 fn head(out: &mut String, (x, y): (usize, usize), from: usize, fill: &str) {
     let tail = if x > from { x.saturating_sub(8) } else { x + 8 };
     let (top, low) = (y - 4, y + 4);

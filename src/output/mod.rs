@@ -35,7 +35,7 @@ pub const FAINT: Style = Style::new().dimmed();
 /// Standard output.
 pub struct Output {
     lines: Lines,
-    /// When the output has colour, as the user asked for.
+    /// When the output has colour, as the user chose.
     pub color: Color,
 }
 
@@ -47,12 +47,12 @@ enum Lines {
         /// Whether the reader has closed the pipe.
         closed: bool,
     },
-    /// A thread of its own writes. If `plain`, it removes escapes.
+    /// A thread of its own writes the lines. If `plain`, it removes escapes.
     Aside { printer: Printer, plain: bool },
 }
 
 impl Output {
-    /// Standard output, with colour as the user asked for.
+    /// Opens standard output, with colour as the user chose.
     pub fn new(color: Color) -> Self {
         let stream = Box::new(AutoStream::new(io::stdout(), color.into()));
         Self { lines: Lines::Direct { stream, closed: false }, color }
@@ -63,7 +63,7 @@ impl Output {
     /// `notice`.
     ///
     /// # Errors
-    /// [`Failure::Launch`]: the operating system refuses a thread.
+    /// [`Failure::Launch`] if the operating system refuses a thread.
     pub fn step_aside(&mut self, notice: Notice, progress: ProgressBar) -> Result<(), Failure> {
         let hidden = ProgressBar::hidden();
         // If lines and progress bar share one terminal, one thread draws both.
@@ -177,9 +177,9 @@ impl Output {
     }
 }
 
-/// Escapes a text from a cell, a recording or a peer for a terminal. Line breaks and the styles of this program stay; any
-/// other character that a terminal acts on is written out. Texts that must stay on one line are escaped where the program
-/// receives them ([`text::one_line`]).
+/// Escapes a text from a cell, a recording or a peer for a terminal. Line breaks and the styles of this program stay;
+/// any other character on which a terminal acts is written out. Texts that must stay on one line are escaped where the
+/// program receives them ([`text::one_line`]).
 pub fn harmless(text: &str) -> Cow<'_, str> {
     if !text.contains(acts) {
         return Cow::Borrowed(text);
@@ -202,11 +202,11 @@ pub fn harmless(text: &str) -> Cow<'_, str> {
     Cow::Owned(out)
 }
 
-/// The parameters of styles that cannot hide text: reset, bold, faint, underlined, and colours of letters.
+/// The parameters of text styles that cannot hide text: reset, bold, faint, underlined, and colours of letters.
 const HARMLESS: [&str; 17] =
     ["", "0", "1", "2", "4", "31", "32", "33", "34", "35", "36", "91", "92", "93", "94", "95", "96"];
 
-/// The length of the style sequence at the beginning of a text; none if it could hide text.
+/// The length of the style sequence at the beginning of a text; `None` if there is none, or if it could hide text.
 fn style_at(text: &str) -> Option<usize> {
     let parameters = text.strip_prefix("\x1b[")?;
     let (parameters, _) = parameters.split_once('m')?;
@@ -219,10 +219,10 @@ static ERRORS: OnceLock<Printer> = OnceLock::new();
 /// How long the end of the process waits for the reader of standard error.
 const COMPLAINED_WITHIN: Duration = Duration::from_secs(1);
 
-/// From now on no [complaint](complain) waits for the reader of standard error.
+/// Makes every later [complaint](complain) go to a thread of its own, so that none waits for the reader of standard error.
 ///
 /// # Errors
-/// The operating system refuses a thread.
+/// An error if the operating system refuses a thread.
 pub fn complain_aside(progress: ProgressBar) -> io::Result<()> {
     let printer = Printer::start(io::stderr(), notice, progress)?;
     // A process starts at most one such thread, so the value is never set twice.
@@ -240,7 +240,7 @@ pub fn complain(what: impl Display) {
     }
 }
 
-/// Waits, for at most a second, until all complaints are written. The process calls this at its end.
+/// Waits, for at most a second, until all complaints are written. The process calls this before it ends.
 pub fn settle_complaints() {
     ERRORS.get().map(|printer| printer.settle(COMPLAINED_WITHIN, || false));
 }
@@ -274,7 +274,7 @@ mod tests {
             shown("\x1b]0;title\x07 \u{9b}2J \u{202e}txt\r"),
             "\\u{1b}]0;title\\u{7} \\u{9b}2J \\u{202e}txt\\r"
         );
-        // Styles of this program stay. Concealed text and other sequences do not.
+        // Styles of this program stay in the text. Concealed text and other sequences do not.
         let styled = Styled(GOOD, "well").to_string();
         assert_eq!(shown(&styled), styled);
         assert_eq!(shown("\x1b[8mhidden\x1b[2J"), "\\u{1b}[8mhidden\\u{1b}[2J");

@@ -11,11 +11,11 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// The most lines that wait for the reader; beyond them, lines about scripts are dropped.
+/// The greatest number of lines that wait for the reader. If there are more, lines about scripts are dropped.
 const LINES: usize = 4_096;
-/// Most bytes that wait for the reader. Later lines are dropped and counted.
+/// The greatest number of bytes that wait for the reader. Later lines are dropped and counted.
 const BYTES: usize = 1 << 20;
-/// Interval at which a waiting caller checks for an interruption.
+/// How often a waiting caller checks for an interruption.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
 /// Formats how many lines are missing, and why.
@@ -28,14 +28,14 @@ pub fn notice(lines: u64, why: &str) -> String {
 
 /// A bounded queue of lines, and the thread that writes them.
 ///
-/// [`push`](Self::push) never waits. If the queue is full, the line is dropped, and a notice takes its place as soon as the
-/// reader reads again. A failed write loses only its own line: the next line is tried again. Once the reader has closed the
-/// pipe (EPIPE), everything is dropped.
+/// [`push`](Self::push) never waits. If the queue is full, the line is dropped, and a notice takes its place as soon as
+/// the reader reads again. A failed write loses only its own line: the next line is tried again. Once the reader has
+/// closed the pipe (EPIPE), all lines are dropped.
 pub struct Printer(Arc<Shared>);
 
 struct Shared {
     queue: Mutex<Queue>,
-    /// Signals that something was added, or written.
+    /// Signals that a line was added, or written.
     changed: Condvar,
     notice: Notice,
 }
@@ -48,18 +48,17 @@ struct Queue {
     in_hand: InHand,
     /// Lines that were not shown, and that no notice has counted yet.
     missing: u64,
-    /// How many of the missing lines were marked as kept: their write failed.
+    /// How many of the missing lines were marked as kept, but could not be written.
     missing_kept: u64,
-    /// The number of lines that were marked as kept, whose write failed, and that a notice has already
-    /// counted.
+    /// How many lines were marked as kept, could not be written, and were counted by a notice already.
     lost: u64,
     /// Why the last write failed.
     failed: Option<String>,
-    /// Why the write of the last `lost` line failed.
+    /// Why the write of the last line failed that `lost` counts.
     lost_because: Option<String>,
     /// Whether the reader has closed the pipe.
     gone: bool,
-    /// The newest text of the progress line, if it is not drawn yet.
+    /// The newest text of the progress line, if it has not been drawn yet.
     progress: Option<String>,
     closed: bool,
 }
@@ -67,11 +66,11 @@ struct Queue {
 /// Lines that are being written.
 #[derive(Clone, Copy, Default)]
 struct InHand {
-    /// The number of lines, including those that the preceding notice counts.
+    /// The number of lines, including the missing lines that the notice before them counts.
     lines: u64,
-    /// How many of the counted lines were marked as kept.
+    /// How many of the missing lines were marked as kept.
     failed_before: u64,
-    /// Whether the line behind the notice is marked as kept.
+    /// Whether the line after the notice is marked as kept.
     is_kept: bool,
 }
 
@@ -102,10 +101,11 @@ pub struct Untaken {
 }
 
 impl Printer {
-    /// Starts the thread that writes to `stream`. It also draws the progress line, so that the two do not mix.
+    /// Starts the thread that writes to `stream`. The thread also draws the progress line, so that the two outputs do
+    /// not mix.
     ///
     /// # Errors
-    /// The operating system refuses a thread.
+    /// An error if the operating system refuses a thread.
     pub fn start(
         stream: impl AsFd + Send + 'static,
         notice: Notice,
@@ -122,7 +122,7 @@ impl Printer {
         Ok(Self(shared))
     }
 
-    /// Adds a text that has its own line breaks. A text marked as `kept` is never dropped: there are few of these.
+    /// Adds a text that has its own line breaks. A text marked as `kept` is never dropped: there are few such texts.
     pub fn push(&self, text: String, kept: bool) {
         let mut queue = self.0.lock();
         if queue.gone {
@@ -154,8 +154,8 @@ impl Printer {
         self.0.changed.notify_all();
     }
 
-    /// Waits until everything is written, at most for `within`, and only until `interrupted`. Returns the lines that are not
-    /// written.
+    /// Waits until all lines are written, at most for `within`, and only until `interrupted`. Returns the lines that
+    /// are not written.
     pub fn settle(&self, within: Duration, interrupted: impl Fn() -> bool) -> Untaken {
         let end = Instant::now() + within;
         let mut queue = self.0.lock();
@@ -240,7 +240,7 @@ impl Shared {
 }
 
 impl Queue {
-    /// Whether there is nothing to write.
+    /// Whether no line waits to be written.
     fn is_idle(&self) -> bool {
         self.items.is_empty() && self.in_hand.lines == 0
     }
@@ -281,7 +281,7 @@ fn write(stream: &impl AsFd, mut bytes: &[u8]) -> Result<(), Errno> {
             Ok(0) => return Err(Errno::IO),
             Ok(written) => bytes = &bytes[written..],
             Err(Errno::INTR) => {}
-            // Another process that shares the terminal or pipe has made it non-blocking.
+            // Another process that shares the terminal or pipe has made it non-blocking, so this waits for the reader.
             Err(Errno::AGAIN) => {
                 let wait = poll(&mut [PollFd::new(stream, PollFlags::OUT)], None);
                 wait.map(drop).or_else(|error| if error == Errno::INTR { Ok(()) } else { Err(error) })?;
@@ -321,7 +321,7 @@ mod tests {
             reader.read_line(&mut line).expect("a line");
             lines.push(line.trim_end().to_owned());
         }
-        // Every line is either there, in its place, or counted in the notice that replaces it.
+        // Every line is either shown in its place, or counted in the notice that replaces it.
         let mut number = 0;
         for line in &lines[..lines.len() - 1] {
             let second = line.split(' ').nth(1).expect("a number").replace(',', "");

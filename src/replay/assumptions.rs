@@ -9,7 +9,7 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// The kind of a breach: something that happened in the run although the checks assume that it does not.
+/// The kind of a breach: an event of the run that the checks assume not to happen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -27,7 +27,7 @@ pub enum Kind {
     Fail,
     /// A node crashed.
     Crash,
-    /// Several faults happened together that the cell declares only for different runs.
+    /// Several faults happened in one run that the cell declares only for different runs.
     Together,
 }
 
@@ -40,7 +40,7 @@ pub struct Breach {
     pub what: String,
     /// How often the run broke the assumption.
     pub times: u64,
-    /// When it first happened, in seconds since the first task began; 0 for clocks.
+    /// When the breach first happened, in seconds since the first task began; 0 for clocks.
     pub first: f64,
 }
 
@@ -60,7 +60,7 @@ impl fmt::Display for Breach {
     }
 }
 
-/// The assumptions of the cell, and the start of the run.
+/// The assumptions of the cell, and the start of the run that is compared with them.
 pub struct Assumed<'a> {
     /// The cell whose assumptions are judged.
     pub loaded: &'a Loaded,
@@ -75,10 +75,10 @@ pub struct Assumed<'a> {
 /// The faults of one kind in a run.
 struct Had {
     kind: Kind,
-    /// What happened, in the singular: `packet never arrived`.
+    /// The event, in the singular: `packet never arrived`.
     one: &'static str,
     many: &'static str,
-    /// The word of the cell language for this kind.
+    /// The word of the cell language for this kind of fault.
     word: &'static str,
     times: u64,
     first: u64,
@@ -87,7 +87,7 @@ struct Had {
 }
 
 impl Assumed<'_> {
-    /// All assumptions that the run did not keep; `late` are the tasks that acted late.
+    /// All breaches of assumptions in the run; `late` has the acts of tasks that acted late.
     pub fn breaches(&self, around: &Surroundings, late: &[Late]) -> Vec<Breach> {
         let mut all = self.counted(around);
         all.extend(self.crashes(around));
@@ -155,7 +155,7 @@ impl Assumed<'_> {
         Some(Breach { kind: had.kind, what, times: had.times, first: self.since(had.first) })
     }
 
-    /// The breaches by nodes whose recordings have no end although no hypothesis lets them crash.
+    /// The breaches by nodes whose recordings have no end although no fault hypothesis lets these nodes crash.
     fn crashes(&self, around: &Surroundings) -> Vec<Breach> {
         let declared = |node: &NodeId| self.faults.iter().any(|faults| faults.crash.contains(node));
         let ended = around.ended.iter().filter(|(node, _)| !declared(node));
@@ -195,7 +195,7 @@ impl Assumed<'_> {
 
     /// The breaches by tasks that acted late, by task and line.
     fn late(&self, late: &[Late]) -> Vec<Breach> {
-        // For each place: the greatest lateness, the number of late acts, and the time of the first late act.
+        // For each task and line: the greatest lateness, the number of late acts, and the time of the first late act.
         let mut places: BTreeMap<(TaskId, Option<usize>), (u64, u64, u64)> = BTreeMap::new();
         for one in late {
             let line = self.loaded.line(one.task, one.address);

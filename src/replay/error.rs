@@ -23,19 +23,19 @@ pub enum ReplayError {
         /// Where the file is damaged, and how.
         source: record::ReplayError,
     },
-    /// No cell was given, and no built-in demo has the recording's cell.
+    /// The user named no cell, and no built-in demo has the recording's cell.
     #[error(
         "{path} is of cell `{cell}` (digest {digest:08x}), which is not that of a demo as it is built in: name its file with --cell"
     )]
     OtherCell {
         /// The recording of another cell.
         path: PathBuf,
-        /// The name of the cell.
+        /// The name of the recording's cell.
         cell: String,
-        /// The digest of the cell's table.
+        /// The digest of the table of the recording's cell.
         digest: u32,
     },
-    /// The recording was made from another text of the cell.
+    /// The recording was made with another text of the same cell.
     #[error(
         "{path} was made from another text of cell `{cell}` than {given}: its {what} have digest {recorded:08x}, those of the \
          file have {now:08x}. Replay it with the text that was run"
@@ -45,16 +45,16 @@ pub enum ReplayError {
         path: PathBuf,
         /// The name of the cell.
         cell: String,
-        /// The given cell file, or the name of the built-in demos.
+        /// The cell file that the user named, or the name of the built-in demos.
         given: String,
-        /// What differs: the declarations, or only the statements of the node.
+        /// What differs between the two texts: the declarations, or only the statements of the node.
         what: &'static str,
-        /// The digest of these in the recording.
+        /// The digest of the differing part in the recording.
         recorded: u32,
-        /// The digest of these in the file.
+        /// The digest of the differing part in the file.
         now: u32,
     },
-    /// The recording is of a cell other than the given one.
+    /// The recording is of another cell than the one that the user named.
     #[error(
         "{path} is a recording of cell `{cell}` (digest {recorded:08x}), and {given} is cell `{other}` (digest {now:08x})"
     )]
@@ -63,16 +63,16 @@ pub enum ReplayError {
         path: PathBuf,
         /// The name of the recording's cell.
         cell: String,
-        /// The given file.
+        /// The cell file that the user named.
         given: String,
         /// The name of the cell in the given file.
         other: String,
-        /// The digest in the recording.
+        /// The digest of the cell in the recording.
         recorded: u32,
-        /// The digest of the given cell.
+        /// The digest of the cell in the file.
         now: u32,
     },
-    /// The recording contains what a monitor saw, and no inputs.
+    /// The recording contains the frames that a monitor received, and no inputs.
     #[error(
         "{0} shows nodes as a monitor saw them, and has no inputs to run again: look at it with `imrs monitor --replay {0}`"
     )]

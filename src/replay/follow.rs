@@ -1,6 +1,6 @@
 //! Replays recordings while they are still being written, so that the monitor can judge running nodes.
 //!
-//! The state machines and the reader keep their state from one look to the next, so a look costs time only for new records.
+//! The state machines and the reader keep their state between two calls, so a call costs time only for new records.
 
 use super::{Opened, divergence, open};
 use imrs_launch::cells::Loaded;
@@ -17,12 +17,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Time limit of one look at one recording; the next look continues.
+/// The time limit for one recording in one call; the next call continues.
 const SLICE: Duration = Duration::from_millis(250);
 /// The number of records between two readings of the clock.
 const CHUNK: usize = 4_096;
 
-/// The cells whose recordings can be judged.
+/// The cells whose recordings can be replayed.
 pub struct Cells {
     known: Vec<Loaded>,
     /// For each cell, the tables of its nodes.
@@ -32,7 +32,7 @@ pub struct Cells {
 }
 
 impl Cells {
-    /// Makes the value from compiled cells, and the file of the only one, if the user named that file.
+    /// Makes the value from compiled cells. `given` is the file of the only cell, if the user named that file.
     pub fn new(known: Vec<Loaded>, given: Option<String>) -> Self {
         let tables = |cell: &Loaded| {
             let nodes = (0..cell.table.cell().nodes.len()).map(NodeId::from_index);
@@ -86,7 +86,7 @@ struct Followed<'a> {
     cell: &'a Cell,
     /// The name of the recording's node.
     node: String,
-    /// The reader and the replays, or why they cannot go on.
+    /// The reader and the replays, or why the replay cannot go on.
     runs: Result<(RecordingReader<File>, Replays<'a>), String>,
 }
 
@@ -104,7 +104,8 @@ impl<'a> Followed<'a> {
         Some(Self { identity: identity(present), header, cell, node, runs })
     }
 
-    /// Whether the path still leads to the same file: another one may have taken its name, or it may have been truncated.
+    /// Whether the path still leads to the same file: another file may have taken the name, or the file may have been
+    /// truncated.
     fn is_of(&self, present: &Metadata) -> bool {
         let read = self.runs.as_ref().map_or(0, |(reader, _)| reader.offset());
         identity(present) == self.identity && present.len() >= read
@@ -134,7 +135,7 @@ impl<'a> Followed<'a> {
     }
 }
 
-/// The verdict so far. `read` says how much of the recording has been replayed, in percent; `None` if all of it.
+/// The verdict so far. `read` says which part of the recording has been replayed, in percent; `None` if all of it.
 fn said_of(replays: &Replays<'_>, cell: &Cell, read: Option<u64>) -> Conformance {
     let steps = replays.iter().map(|replay| replay.judged() as u64).sum();
     let missing: u64 = replays.iter().map(|replay| replay.lost() + replay.unjudged() as u64).sum();

@@ -1,4 +1,4 @@
-//! `imrs replay FILE... --cell CELL --model`: is this run a path of the model that `imrs verify` explores?
+//! `imrs replay FILE... --cell CELL --model`: says whether a run is a path of the model that `imrs verify` explores.
 
 use super::assumptions::Assumed;
 use super::error::ReplayError;
@@ -24,14 +24,14 @@ use imrs_wire::recording::{Ending, Header};
 use std::path::Path;
 use std::sync::Arc;
 
-/// The recordings of a run, replayed.
+/// The replayed recordings of a run.
 struct Recorded {
     /// The events of each task.
     tasks: Vec<Vec<Happening>>,
     whole: Vec<bool>,
     /// When the first task began, in microseconds of the clock that all nodes share.
     start: u64,
-    /// Changes of the values that checks read.
+    /// The changes of the values that checks read.
     changes: Vec<Change>,
 }
 
@@ -109,7 +109,7 @@ fn plan(path: &Path, args: &ReplayArgs) -> Result<CellPlan, Failure> {
 enum Unfollowed {
     /// The recording of a task differs from what its own state machine does.
     Differs { task: TaskId, how: String },
-    /// Some inputs are missing.
+    /// Some inputs of the run are missing.
     Gap(String),
     /// A node was restarted. The model does not follow a node beyond its end.
     Restarted(String),
@@ -203,18 +203,19 @@ struct IncarnationRecording<'a> {
     incarnation: Incarnation,
     /// Whether the node had an earlier incarnation.
     restarted: bool,
-    /// The span of time that the recording covers; none if it is empty.
+    /// The interval that the recording covers; `None` if the recording is empty.
     span: Option<Span<'a>>,
 }
 
 impl IncarnationRecording<'_> {
-    /// When the recording begins; an empty one sorts last.
+    /// When the recording begins; an empty recording is sorted to the end.
     fn begins(&self) -> u64 {
         self.span.as_ref().map_or(u64::MAX, |span| span.first)
     }
 }
 
-/// The nodes of which several recordings were given. An error if the recordings cannot be of one run.
+/// Returns the nodes of which several recordings were given: one for each incarnation. Fails if the recordings cannot
+/// be of one run.
 fn incarnations_of_one_run(
     incarnations: &mut [Vec<IncarnationRecording<'_>>],
 ) -> Result<Vec<NodeId>, Failure> {
@@ -237,14 +238,15 @@ fn incarnations_of_one_run(
             restarted.push(NodeId::from_index(node));
         }
     }
-    // In a cell with one node, no other node records anything while this one is down, so a gap proves nothing.
+    // In a cell with one node, no other node records anything while this node is dead, so a gap proves nothing.
     if incarnations.len() > 1 {
         of_one_run(incarnations.iter().flatten().filter_map(|one| one.span.clone()).collect())?;
     }
     Ok(restarted)
 }
 
-/// The nodes whose first recording is missing: other nodes received packets from them before their given recordings begin.
+/// The nodes whose first recording is missing: other nodes received packets from them that were sent before their given
+/// recordings begin.
 fn spoke_before(
     incarnations: &[Vec<IncarnationRecording<'_>>],
     tasks: &[Vec<Happening>],
@@ -268,7 +270,7 @@ fn spoke_before(
     nodes
 }
 
-/// When a recording was made, in microseconds of the boot-time clock that all nodes share.
+/// The interval in which a recording was made, in microseconds of the boot-time clock that all nodes share.
 #[derive(Clone)]
 struct Span<'a> {
     path: &'a Path,
@@ -308,16 +310,16 @@ fn of_two_runs(one: Option<&Span<'_>>, two: Option<&Span<'_>>, paths: (&Path, &P
     Failure::Usage(format!("these are of two runs: {one}, {two} of the machine's clock"))
 }
 
-/// The verdicts on the checks, up to the instant at which the nodes stopped, as the run itself judged them.
+/// The verdicts on the checks of the run, up to the instant at which the nodes stopped, as the launcher judged them.
 fn judge(loaded: &Loaded, recorded: &Recorded) -> Settlement {
     let nodes: Vec<NodeId> = (0..recorded.whole.len()).map(NodeId::from_index).collect();
     let (mut judge, mut over) = (Judge::new(loaded, &nodes), recorded.start);
     recorded.changes.iter().for_each(|change| judge.change(change.clone()));
     for node in nodes {
         // A node is unknown from its stop, or from its last record if it was killed. No recording shows when a node was
-        // killed, and it may have acted after its last record. So a node never counts as dead here. A check that needs the
-        // node's values for more than 1 s after that is unknown, although the launcher, which knew of the kill, judged the
-        // check (D142).
+        // killed, and it may have acted after its last record. So a node never counts as dead here. If a check needs
+        // the node's values for more than 1 s after that, its verdict is unknown here. The launcher, which knew of the
+        // kill, gave a verdict (D142).
         let tasks = loaded.table.tasks_on(node).map(|task| &recorded.tasks[task.index()]);
         let all: Vec<&Happening> = tasks.flatten().collect();
         let stop = all.iter().find(|happening| happening.what == Happened::Stopped);
@@ -334,8 +336,8 @@ fn judge(loaded: &Loaded, recorded: &Recorded) -> Settlement {
     judge.settlement(recorded.start)
 }
 
-/// Ends the run before any node receives a packet by which a stopping node withdraws its tasks from their waits, because the
-/// model has no such packets.
+/// Ends the recorded run before any node receives a packet by which a stopping node withdraws its tasks from their
+/// waits, because the model has no such packets.
 fn end_where_nodes_stop(tasks: &mut [Vec<Happening>]) {
     let mut taken_back = Vec::new();
     for task in tasks.iter() {

@@ -1,36 +1,36 @@
 //! Derives from the recordings of a run how its links and clocks behaved, so that this can be compared with the assumptions
 //! of the checks.
 //!
-//! Two packets count as equal if they differ only in fields that time and relays change. An arrival of one of several equal
-//! packets is matched with the last one that was sent before it.
+//! Two packets count as equal if they differ only in fields that change with time or in relays. An arrival of one of
+//! several equal packets is matched with the last of them that was sent before it.
 
 use imrs_model::cell::{Happened, Happening};
 use imrs_protocol::{CellTable, NodeId, Packet, Ticks};
 use std::collections::{BTreeMap, HashMap};
 
-/// How long before the end of a run a packet may have been sent and still be in flight, in microseconds. A packet that was
-/// sent earlier and never arrived was lost.
+/// A packet that was sent this shortly before the end of the run may still be in flight, in microseconds. A packet that
+/// was sent earlier and never arrived was lost.
 const SETTLES: u64 = 500_000;
 
 /// What happened to the packets from one node to another.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LinkHistory {
-    /// When those packets were sent that never arrived, in microseconds of the run's clock.
+    /// When the packets were sent that never arrived, in microseconds of the run's clock.
     pub lost: Vec<u64>,
-    /// When packets arrived that had arrived before.
+    /// When copies arrived of packets that had arrived before.
     pub copies: Vec<u64>,
-    /// When packets arrived that had taken longer than the bound, and how long they took.
+    /// For each packet that took longer than the bound: when it arrived, and how long it took.
     pub slow: Vec<(u64, u64)>,
     /// The longest time that a packet may take, in microseconds.
     pub bound: u64,
-    /// The least time that a packet took, by the two nodes' clocks. Negative if the receiver's clock is behind.
+    /// The least time that a packet took, by the clocks of the two nodes. It is negative if the receiver's clock is behind.
     least: Option<i64>,
 }
 
 /// How links and clocks behaved in a run.
 #[derive(Debug)]
 pub struct Surroundings {
-    /// What happened to packets, by sending and receiving node.
+    /// The history of the packets, by sending and receiving node.
     pub links: BTreeMap<(NodeId, NodeId), LinkHistory>,
     /// Pairs of nodes whose clocks ran at different rates, and a lower bound of the difference in microseconds.
     pub drift: Vec<(NodeId, NodeId, u64)>,
@@ -43,7 +43,7 @@ pub struct Surroundings {
 /// A set of equal packets.
 #[derive(Default)]
 struct Alike {
-    /// When each of these packets was sent, and whether it should arrive.
+    /// When each packet of the set was sent, and whether it can have arrived in time.
     sent: Vec<(u64, bool)>,
     came: Vec<u64>,
 }
@@ -78,7 +78,7 @@ impl Surroundings {
     }
 }
 
-/// The packet without the fields that time and relays change.
+/// The packet without the fields that change with time or in relays, so that equal packets can be found.
 pub fn named(packet: &Packet) -> Packet {
     Packet { remaining: Ticks::ZERO, hops: 0, ..*packet }
 }
@@ -117,9 +117,9 @@ impl Alike {
         let all = self.sent.len();
         for came in self.came {
             let before = self.sent.partition_point(|(sent, _)| *sent <= came);
-            // If the receiver's clock is behind, a packet seems to arrive before it was sent.
+            // If the receiver's clock is behind the sender's, a packet seems to arrive before it was sent.
             let Some(at) = before.checked_sub(1).or_else(|| (!self.sent.is_empty()).then_some(0)) else {
-                // A killed node may have sent the packet without recording that, so the packet does not count as a copy.
+                // A killed node may have sent the packet without recording it, so the packet does not count as a copy.
                 if all > 0 && sender_is_whole {
                     link.copies.push(came);
                 }
@@ -136,9 +136,9 @@ impl Alike {
     }
 }
 
-/// A lower bound of how far the clocks of two nodes drifted apart. Every packet takes some time, so packets of the two
-/// directions bound the difference of the clocks from both sides. If no single difference fits all packets, the clocks ran at
-/// different rates.
+/// For each two nodes, a lower bound of how far their clocks drifted apart. Every packet takes some time, so packets of
+/// the two directions bound the difference of the clocks from both sides. If no single difference fits all packets, the
+/// clocks ran at different rates.
 fn drift(links: &BTreeMap<(NodeId, NodeId), LinkHistory>) -> Vec<(NodeId, NodeId, u64)> {
     let pairs = links.iter().filter(|((from, to), _)| from < to);
     let apart = pairs.filter_map(|((from, to), there)| {

@@ -1,4 +1,4 @@
-//! The result of `imrs replay --model`, for people and for programs.
+//! The result of `imrs replay --model`, as text for people and as JSON for programs.
 
 use super::assumptions::Breach;
 use crate::checks;
@@ -11,7 +11,7 @@ use imrs_model::cell::{Followed, Steps, Unexplained};
 use imrs_protocol::TaskId;
 use serde::Serialize;
 
-/// Seconds of random walks that look for the steps of a run in the state space of `imrs verify`.
+/// How long random paths are followed, in seconds, to look for the steps of the run in the state space of `imrs verify`.
 pub const WALKS: f64 = 5.0;
 
 /// The seconds from `start` to `at`.
@@ -19,7 +19,7 @@ fn since(start: u64, at: u64) -> f64 {
     at.saturating_sub(start) as f64 / 1e6
 }
 
-/// Why it may be unknown whether a run is a path of the model.
+/// The reason for which it may be unknown whether a run is a path of the model.
 const UNSURE: &str = "nodes acted late, or two things happened within one tick, and with times rounded otherwise the model may do what was not found";
 
 /// The result of `imrs replay --model`, as JSON.
@@ -40,16 +40,16 @@ pub struct ReplayAnswer {
     turns: u64,
     moves: u64,
     lost: Vec<Lost>,
-    /// The greatest lateness, in ticks.
+    /// The greatest lateness of any act in the run, in ticks.
     late_at_most: u64,
     early_at_most: u64,
     other_values: u64,
-    /// Moves that killed nodes must have made after the end of their recordings.
+    /// How many moves killed nodes must have made after the end of their recordings.
     guessed: u64,
-    /// Times that were not rounded down to their own tick, but up or further down.
+    /// How many times were not rounded down to their own tick, but up or further down.
     rounded: u64,
-    /// The number of different kinds of step that the scripts made, and the lines of those kinds that the walks in the state
-    /// space of `imrs verify` did not meet.
+    /// How many different kinds of step the scripts made. Then the lines of those kinds that the random paths through
+    /// the state space of `imrs verify` did not contain.
     kinds: usize,
     kinds_not_met: Vec<String>,
     breaches: Vec<Breach>,
@@ -77,7 +77,7 @@ pub struct Where {
 }
 
 impl ReplayAnswer {
-    /// The result of a run that was followed, with its start and the assumptions that it did not keep.
+    /// Makes the result of a run that was followed.
     pub fn new(
         loaded: &Loaded,
         followed: &Followed,
@@ -134,7 +134,7 @@ impl ReplayAnswer {
         }
     }
 
-    /// The result if the recording of a task differs from what its own state machine does.
+    /// Makes the result of a run in which the recording of a task differs from what the task's own state machine does.
     pub fn of_task(loaded: &Loaded, task: TaskId, how: String) -> Self {
         let cell = loaded.table.cell();
         let declared = &cell.tasks[task.index()];
@@ -148,13 +148,13 @@ impl ReplayAnswer {
         Self { version: 1, cell: cell.name.clone(), complete: true, unexplained: Some(at), ..Self::default() }
     }
 
-    /// The result if a part of the run is missing.
+    /// Makes the result of a run of which a part is missing.
     pub fn of_gap(loaded: &Loaded, missing: String) -> Self {
         Self { version: 1, cell: loaded.table.cell().name.clone(), unknown: Some(missing), ..Self::default() }
     }
 
-    /// The exit code. It depends on broken checks, on unexplained steps, and on whether everything was judged: the time
-    /// sufficed, and no evidence is missing.
+    /// The exit code. It depends on broken checks, on unexplained steps, and on whether the whole run was judged: the
+    /// time sufficed, and no evidence is missing.
     pub fn verdict(&self) -> Exit {
         match (&self.unexplained, self.complete) {
             _ if self.checks.is_broken() => Exit::Finding,
@@ -169,7 +169,7 @@ impl ReplayAnswer {
     /// Prints the result for people.
     ///
     /// # Errors
-    /// The output cannot be written.
+    /// An error if the output cannot be written.
     pub fn show(&self, file: &str, out: &mut Output) -> Result<(), Failure> {
         let unknown = self.unknown.as_ref().map(|why| {
             Styled(
@@ -220,7 +220,7 @@ impl ReplayAnswer {
         checks::show(&self.checks, out)
     }
 
-    /// Prints in which ways the run went beyond what `imrs verify` explores.
+    /// Prints in which respects the run went beyond what `imrs verify` explores.
     fn compare(&self, out: &mut Output) -> Result<(), Failure> {
         let late = count(self.late_at_most, "tick");
         let late = (self.late_at_most > 0).then(|| format!(", nodes that act up to {late} late"));

@@ -1,8 +1,9 @@
-//! Drives a run from its start to its exit code, and shows it meanwhile.
+//! Drives a run from its start to its exit code, and shows its lines meanwhile.
 
 use super::lines::show;
 use super::plan::DemoPlan;
 use super::report;
+use super::service::Service;
 use crate::args::{Format, LaunchArgs};
 use crate::exit::Exit;
 use crate::failure::Failure;
@@ -13,21 +14,21 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
 use std::time::{Duration, Instant};
 
-/// Interval at which lines are shown.
+/// How often new lines are shown.
 const SHOW_EVERY: Duration = Duration::from_millis(50);
-/// Interval at which the progress line is redrawn.
+/// How often the progress line is redrawn.
 const PROGRESS_EVERY: Duration = Duration::from_millis(250);
 /// How long the summary waits for a slow reader of standard output.
 const READ_WITHIN: Duration = Duration::from_secs(5);
 
-/// The first line of `--format json`: what runs where.
+/// The first line of `--format json`: which nodes and tasks run, and where.
 #[derive(Serialize)]
 struct Started<'a> {
     version: u32,
     started: Vec<StartedNode<'a>>,
 }
 
-/// Runs a cell as planned.
+/// Runs a cell according to the plan `run`.
 ///
 /// # Errors
 /// [`Failure`].
@@ -48,7 +49,10 @@ pub fn run(
 
     let mut launcher = Launcher::start(&run, &NodeProgram)?;
     // Even if following the run fails, its nodes are stopped in order and its summary is shown.
-    let followed = announce(&run, args, demo, &launcher, out).and_then(|()| follow(&run, &mut launcher, out));
+    let mut service = Service::ready(&run, &launcher);
+    let followed = announce(&run, args, demo, &launcher, out)
+        .and_then(|()| follow(&run, &mut launcher, &mut service, out));
+    service.stopping();
     let interrupts = launcher.interrupts();
     let mut ended = launcher.finish();
     if let Some(demo) = demo {
@@ -73,8 +77,8 @@ pub fn run(
     Ok(if exit == Exit::Well && !is_written { Exit::Usage } else { exit })
 }
 
-/// Complains about lines of the answer that no reader took. Returns false if writing failed; a slow or vanished reader is no
-/// error.
+/// Complains about lines of the answer that no reader took. Returns false if writing failed. A slow reader, or one that
+/// has exited, is no error.
 fn told(untaken: &Untaken) -> bool {
     let lines = count(untaken.lines, "line");
     match untaken {
@@ -90,7 +94,7 @@ fn told(untaken: &Untaken) -> bool {
     false
 }
 
-/// The notice about dropped lines, for `--format json`.
+/// The notice about dropped lines, in the form for `--format json`.
 fn json_notice(lines: u64, why: &str) -> String {
     serde_json::json!({ "version": 1, "not_shown": lines, "why": why }).to_string()
 }
@@ -119,13 +123,23 @@ fn announce(
 }
 
 /// Follows the run until its end. Shows every pending line, however the run ends.
-fn follow(run: &Run<'_>, launcher: &mut Launcher<'_>, out: &mut Output) -> Result<(), Failure> {
-    let followed = follow_until_the_end(run, launcher, out);
+fn follow(
+    run: &Run<'_>,
+    launcher: &mut Launcher<'_>,
+    service: &mut Service,
+    out: &mut Output,
+) -> Result<(), Failure> {
+    let followed = follow_until_the_end(run, launcher, service, out);
     out.progress(None);
     followed.and(show(&launcher.last_lines(), run, out))
 }
 
-fn follow_until_the_end(run: &Run<'_>, launcher: &mut Launcher<'_>, out: &mut Output) -> Result<(), Failure> {
+fn follow_until_the_end(
+    run: &Run<'_>,
+    launcher: &mut Launcher<'_>,
+    service: &mut Service,
+    out: &mut Output,
+) -> Result<(), Failure> {
     let of = run.length.map(|all| format!(" of {}", humantime::format_duration(all))).unwrap_or_default();
     let mut progress_at = Instant::now();
     while launcher.advance()? {
@@ -138,6 +152,7 @@ fn follow_until_the_end(run: &Run<'_>, launcher: &mut Launcher<'_>, out: &mut Ou
             out.progress(Some(&format!("{} s{of}{met}", launcher.elapsed().as_secs())));
             progress_at = Instant::now() + PROGRESS_EVERY;
         }
+        service.ping(launcher.silent_for());
         let show_at = shows.then(|| Instant::now() + SHOW_EVERY);
         launcher.wait(show_at.map_or(progress_at, |at| at.min(progress_at)));
     }

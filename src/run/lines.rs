@@ -1,4 +1,4 @@
-//! Shows the lines of a run while it lasts.
+//! Shows the lines of a run while the run lasts.
 
 use crate::failure::Failure;
 use crate::output::{BAD, FAINT, NOTE, Output, Styled, count};

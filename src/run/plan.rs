@@ -1,4 +1,4 @@
-//! Plans a run as the command line or a demo asks for it, and looks up the names that it uses in the cell.
+//! Plans a run as the command line or a demo asks for it, and looks up the cell's nodes and tasks by their names.
 
 use crate::args::{Format, LaunchArgs};
 use crate::failure::Failure;
@@ -14,22 +14,22 @@ use std::time::Duration;
 pub struct DemoPlan {
     /// The text that is printed before the run.
     pub introduction: &'static str,
-    /// The fault that is injected, if any.
+    /// The fault that is injected; `None` if the demo injects none.
     pub moment: Option<&'static Moment>,
     /// Explains what happened, and says whether the promise was kept.
     pub explain: fn(&Story<'_>) -> Outcome,
 }
 
-/// A fault that is injected when a task has begun an action for the given time.
+/// A fault that is injected some time after a task has begun an action.
 #[derive(Clone, Copy, Debug)]
 pub struct Moment {
     /// The delay from the beginning of the action to the fault.
     pub after: Duration,
     /// The name of the task that runs the action.
     pub task: &'static str,
-    /// The name of the task's action, as after `run`.
+    /// The name of the task's action, as the cell writes it after `run`.
     pub action: &'static str,
-    /// At which beginning of the action the fault comes, counted from 1.
+    /// The fault is injected at this beginning of the action, counted from 1.
     pub time: usize,
     /// The fault that is injected.
     pub fault: Planned,
@@ -40,11 +40,12 @@ pub struct Moment {
 /// A fault that names nodes and tasks as the cell does.
 #[derive(Clone, Copy, Debug)]
 pub enum Planned {
-    /// The link between two nodes is cut for so long.
+    /// The link between two nodes is cut for this long.
     Cut([&'static str; 2], Duration),
     /// The node is killed.
     Kill(&'static str),
-    /// The node is suspended (SIGSTOP) for so long. A node that shares its process with others is cut off from them instead.
+    /// The node is suspended (SIGSTOP) for this long. A node that shares its process with others is cut off from them
+    /// instead.
     Pause(&'static str, Duration),
 }
 
@@ -61,8 +62,8 @@ impl DemoPlan {
     }
 }
 
-/// The run of a cell with these options, without the settings that depend on the machine. Checks that faults and options fit
-/// the cell and each other.
+/// Plans the run of a cell with these options, without the settings that depend on the machine. Checks that faults and
+/// options fit the cell and each other.
 ///
 /// # Errors
 /// [`Failure::Fault`], [`Failure::Usage`].
@@ -110,7 +111,7 @@ pub fn plan<'a>(
     })
 }
 
-/// Whether any task that runs here can reach the end of its script.
+/// Whether any task that this launcher runs can reach the end of its script.
 fn finishes(loaded: &Loaded, only: Option<NodeId>) -> bool {
     let tasks = loaded.table.cell().tasks.iter().enumerate();
     let here = tasks.filter(|(_, task)| only.is_none_or(|only| task.node == only));
@@ -118,7 +119,7 @@ fn finishes(loaded: &Loaded, only: Option<NodeId>) -> bool {
 }
 
 impl Moment {
-    /// Looks up the tasks and nodes of the moment in a cell; none if the cell has no such task.
+    /// Looks up the moment's task and nodes in a cell; `None` if the cell has no such task.
     fn of(&self, cell: &Cell) -> Result<Option<imrs_launch::Moment>, FaultError> {
         let task = cell.tasks.iter().position(|task| task.name == self.task).map(TaskId::from_index);
         let faults = match self.fault {

@@ -10,7 +10,7 @@ use imrs_launch::{Keys, NodeSummary, RendezvousSummary, Run, StartedNode, Summar
 use imrs_protocol::{CellTable, Usage};
 use std::collections::BTreeMap;
 
-/// Prints what runs, and how to watch it.
+/// Prints which nodes and tasks run, and how to watch them.
 ///
 /// # Errors
 /// [`Failure::Output`].
@@ -112,7 +112,7 @@ pub fn summary(
     for rendezvous in &summary.rendezvous {
         meetings(rendezvous, out)?;
     }
-    // A cell without ports has no figures of messages.
+    // In a cell without ports there are no counters of messages.
     if !summary.ports.is_empty() {
         commands(summary, out)?;
         ports(summary, out)?;
@@ -233,7 +233,7 @@ fn ports(summary: &Summary, out: &mut Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Whether this node relays: two of its neighbours have no link to each other.
+/// Whether this node relays packets: two of its neighbours have no link to each other.
 fn relays(table: &CellTable, name: &str) -> bool {
     let Some(node) = table.cell().nodes.iter().position(|node| node.name == name) else { return false };
     let neighbours: Vec<_> = table.neighbours(imrs_protocol::NodeId::from_index(node)).collect();
@@ -268,7 +268,7 @@ fn listed(counts: &BTreeMap<String, u64>) -> String {
     counts.iter().map(one).collect::<Vec<_>>().join(", ")
 }
 
-/// What happened in the run, in sentences.
+/// The events of the run, in sentences.
 fn in_words(summary: &Summary, table: &CellTable, args: &LaunchArgs, demo: Option<DemoPlan>) -> Vec<String> {
     let mut words = Vec::new();
     if summary.checks.is_broken() {

@@ -1,4 +1,4 @@
-//! The result of random runs, for programs.
+//! The result of random runs, as JSON for programs.
 
 use super::tell::PROVES_NOTHING;
 use super::{Report, What};
@@ -19,7 +19,7 @@ pub(super) struct Answer<'a> {
     runs: u64,
     with_faults: u64,
     steps: u64,
-    /// The limit of steps per run.
+    /// The greatest number of steps of a run.
     most_steps: u32,
     simulated_us: u64,
     ended: Ends,
@@ -28,7 +28,7 @@ pub(super) struct Answer<'a> {
     findings: Vec<One<'a>>,
     /// Statements that no run reached.
     not_reached: Vec<verify::Place<'a>>,
-    /// Faults of the file that happened in no run.
+    /// The faults of the file that happened in no run.
     idle: Vec<String>,
     /// Times of the cell that are not multiples of its tick: the rounding may cause a finding.
     rounded: Vec<verify::Rounded<'a>>,
@@ -68,7 +68,7 @@ struct Before {
     faults: usize,
     choices: usize,
     steps: usize,
-    /// Whether shrinking was complete.
+    /// Whether the schedule was shrunk as far as possible.
     whole: bool,
 }
 

@@ -1,4 +1,4 @@
-//! Reads and writes schedules as TOML files: the faults, and also the choices if `--save` wrote the file.
+//! Reads and writes schedules as TOML files. A file has the faults, and also the choices if `--save` wrote the file.
 
 use crate::failure::Failure;
 use crate::names::did_you_mean;
@@ -13,10 +13,10 @@ use std::time::Duration;
 /// The version of the file format. In version 1, the choices of a node did not include the order of its waiting inputs
 /// (D170).
 const VERSION: u32 = 2;
-/// Most bytes of a file.
+/// The greatest length of a file, in bytes.
 const LONGEST: u64 = 16 << 20;
 
-/// A schedule as it stands in a file.
+/// A schedule in the form in which a file has it.
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 struct File {
@@ -24,17 +24,17 @@ struct File {
     /// The cell for which the schedule was saved.
     #[serde(skip_serializing_if = "Option::is_none")]
     cell: Option<String>,
-    /// The digest of that cell's declarations.
+    /// The digest of the declarations of the cell for which the schedule was saved.
     #[serde(skip_serializing_if = "Option::is_none")]
     digest: Option<String>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     fault: Vec<Line>,
-    /// The choices of the schedule. Without them each seed draws its own.
+    /// The choices of the schedule. Without them each seed draws its own choices.
     #[serde(skip_serializing_if = "Option::is_none")]
     choices: Option<Choices>,
 }
 
-/// A fault in the file. Exactly one of the first eight fields is set: the kind of fault.
+/// A fault in the file. Exactly one of the first eight fields is set, and that field is the kind of the fault.
 #[derive(Default, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 struct Line {
@@ -54,7 +54,7 @@ struct Line {
     pause: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     drift: Option<String>,
-    /// The link of a packet: `a -> b`.
+    /// For a packet: its link, `a -> b`.
     #[serde(skip_serializing_if = "Option::is_none")]
     link: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -93,10 +93,10 @@ pub(super) struct Names<'a> {
     pub tick_us: u64,
 }
 
-/// Reads a file.
+/// Reads a file of a schedule.
 ///
 /// # Errors
-/// [`Failure::Usage`], with the file and the fault that is wrong.
+/// [`Failure::Usage`], which names the file and the wrong fault.
 pub(super) fn read(path: &Path, names: &Names<'_>) -> Result<Plan, Failure> {
     let refused = |what: String| Failure::Usage(format!("{}: {what}", path.display()));
     let text = files::text(path, LONGEST).map_err(|error| match error {
@@ -107,7 +107,7 @@ pub(super) fn read(path: &Path, names: &Names<'_>) -> Result<Plan, Failure> {
     names.plan(file).map_err(refused)
 }
 
-/// The text of a file that saves a schedule.
+/// The text of a file with a schedule.
 pub(super) fn text(schedule: &Schedule, command: &str, names: &Names<'_>) -> String {
     let cell = names.table.cell();
     let mut choices = Choices::default();
@@ -164,7 +164,7 @@ impl Names<'_> {
         }
         for (name, made) in choices.link {
             let (from, to) = self.link(&name)?;
-            // TOML refuses the same key twice, but does not notice two spellings of one link: `a -> b` and `a->b`.
+            // TOML refuses the same key twice, but two spellings of one link, `a -> b` and `a->b`, are two keys for it.
             if tape.insert(Chooser::Link(from, to), made).is_some() {
                 return Err(format!("choices.link has `{}` twice: write it once", self.link_name(from, to)));
             }

@@ -21,26 +21,26 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
-/// Number of seeds without `--seeds`.
+/// The number of seeds if the user gives no `--seeds`.
 const SEEDS: u64 = 1000;
-/// The bound of seeds from the clock. They have at most nine digits, because a person may type them again.
+/// Seeds from the clock are below this bound. They have at most nine digits, because a person may type them again.
 const SEEDS_OF_THE_CLOCK: u128 = 1_000_000_000;
 
 /// The runs that the user asked for.
 enum What {
-    /// Runs `count` seeds, from `first` on, with the given faults, or with faults that each seed draws.
+    /// Runs `count` seeds, from `first` on, with the given faults or, without these, with faults that each seed draws.
     Seeds { first: u64, count: u64, faults: Option<Vec<Fault>> },
-    /// One schedule of a file.
+    /// Runs the one schedule of a file.
     Schedule(Schedule),
 }
 
-/// The request and its result, to be shown.
+/// The user's request and its result, which are shown together.
 struct Report<'a> {
     subject: &'a Subject,
     names: &'a Names<'a>,
     args: &'a SimulateArgs,
     what: &'a What,
-    /// Why the cell was not simulated; none if it was.
+    /// Why the cell was not simulated; `None` if it was.
     refused: Option<&'a Refused>,
     all: &'a Simulated,
     /// Whether the selected finding was saved.
@@ -157,8 +157,8 @@ fn what(args: &SimulateArgs, names: &Names<'_>) -> Result<What, Failure> {
 /// A flag that Ctrl-C sets. A second Ctrl-C ends the process.
 fn stop_at_ctrl_c() -> Arc<AtomicBool> {
     let (stop, once) = (Arc::default(), Arc::default());
-    // A signal runs the registered actions in the order of registration, so a signal that arrives between these two lines
-    // sets the flag, too. If no action can be registered, Ctrl-C ends the process at once.
+    // A signal runs the registered actions in the order of registration, so a signal that arrives after the first of
+    // these two calls sets the flag, too. If no action can be registered, Ctrl-C ends the process at once.
     let _ = signal_hook::flag::register(SIGINT, Arc::clone(&stop));
     let _ = signal_hook::flag::register_conditional_default(SIGINT, Arc::clone(&once));
     let _ = signal_hook::flag::register(SIGINT, once);
@@ -171,12 +171,12 @@ fn progress(seeds: u64, text: bool) -> ProgressBar {
     let line = ProgressBar::with_draw_target(Some(seeds), target);
     match ProgressStyle::with_template("{wide_bar} {pos} of {len} runs, {msg}") {
         Ok(style) => line.with_style(style),
-        // The template is wrong. The default style takes its place, and shows less.
+        // The template is malformed. Then the default style is used, which shows less.
         Err(_) => line,
     }
 }
 
-/// Saves the selected finding. False if there is none, or no file was named.
+/// Saves the selected finding. Returns false if there is no finding, or the user named no file.
 fn keep(args: &SimulateArgs, subject: &Subject, names: &Names<'_>, all: &Simulated) -> Result<bool, Failure> {
     let found = all.found.get(usize::from(args.finding) - 1);
     let missed = || format!("--finding {}: there are {}", args.finding, all.found.len());
@@ -208,7 +208,7 @@ fn command(subject: &Subject, args: &SimulateArgs) -> String {
 }
 
 impl Report<'_> {
-    /// The message that nothing was saved, if nothing was found.
+    /// The message that nothing was saved, if the user named a file and there is no finding.
     fn unsaved(&self) -> Option<String> {
         let path = self.args.save.as_ref().filter(|_| self.all.found.is_empty())?;
         let why = if self.refused.is_some() { "the cell was not simulated" } else { "nothing was found" };
@@ -219,7 +219,7 @@ impl Report<'_> {
         self.saved && usize::from(self.args.finding) == number + 1
     }
 
-    /// The command that reproduces this finding with its whole chart.
+    /// The command that runs this finding again and shows its whole chart.
     fn again(&self, number: usize, found: &Found) -> String {
         let mut command = command(self.subject, self.args);
         let saved = self.args.save.as_ref().filter(|_| self.is_saved(number));

@@ -7,7 +7,7 @@ use crate::output::{BAD, FAINT, HEAD, NOTE, Output, Styled, complain, count, gro
 use crate::verify::chart;
 use imrs_model::cell::{Ended, Fault, Found};
 
-/// The caveat that is printed when runs have no findings.
+/// The caveat that is printed if runs have no findings.
 pub(super) const PROVES_NOTHING: &str = "random runs prove nothing about others";
 
 impl Report<'_> {
@@ -66,7 +66,7 @@ impl Report<'_> {
         out.line(all)
     }
 
-    /// Prints which runs have a finding, and its schedule.
+    /// Prints which runs have this finding, and its schedule.
     fn found(&self, found: &Found, out: &mut Output) -> Result<(), Failure> {
         if let Some(seed) = found.seed {
             let runs = match found.runs {

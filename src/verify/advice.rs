@@ -1,8 +1,8 @@
-//! The usual remedy for each kind of finding.
+//! For each kind of finding, the advice that usually helps.
 
 use imrs_model::cell::Kind;
 
-/// The usual remedy of a kind of finding.
+/// The advice that usually helps against this kind of finding.
 pub(super) const fn help(kind: Kind) -> &'static str {
     match kind {
         Kind::Deadlock => {

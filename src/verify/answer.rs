@@ -1,4 +1,4 @@
-//! The result of checking a cell, for programs.
+//! The result of checking a cell, as JSON for programs.
 
 use super::advice::help;
 use super::limits::not_looked_for;
@@ -11,7 +11,7 @@ use imrs_protocol::script::Address;
 use imrs_protocol::{CellTable, TaskId};
 use serde::Serialize;
 
-/// The JSON answer.
+/// The answer of `imrs verify CELL --format json`.
 #[derive(Serialize)]
 pub(super) struct Answer<'a> {
     version: u32,
@@ -28,17 +28,18 @@ pub(super) struct Answer<'a> {
     findings: Vec<FindingAnswer<'a>>,
     /// Findings that may be intended: tasks that go on for ever without progress.
     warnings: Vec<FindingAnswer<'a>>,
-    /// Statements that are never reached with these faults.
+    /// Statements that are never reached with the faults that were searched.
     not_exercised: Vec<Place<'a>>,
-    /// The values with which messages of extern tasks were tried: in integer fields, and in `real` fields.
+    /// The values with which messages of extern tasks were tried in integer fields. The second list has those for
+    /// `real` fields.
     outside: &'a [i64],
     outside_real: &'a [f32],
     /// Values that were not tried, because there are too many.
     outside_left_out: &'a [i64],
     outside_real_left_out: &'a [f32],
-    /// Statements that are never reached with these values. Other values may lead there.
+    /// Statements that are never reached with the tried values of extern tasks. With other values they may be reached.
     not_tried: Vec<Place<'a>>,
-    /// Statements not reached before a search ended or a finding came. Nothing is known about these statements.
+    /// Statements that were not reached before a search ended or had a finding. So it is unknown whether they can be reached.
     not_seen: Vec<Place<'a>>,
     /// Times of the cell that are not multiples of its tick: the rounding may cause a finding.
     rounded: Vec<Rounded<'a>>,
@@ -62,11 +63,11 @@ pub struct NotChecked<'a> {
     column: Option<usize>,
 }
 
-/// The times at which events are tried.
+/// The times at which the search lets events happen.
 #[derive(Serialize)]
 struct LookedAt {
     tick_us: u64,
-    /// The interval at which an action may end between its least and its most time.
+    /// The interval of the times at which an action may end, between its least and its most time.
     model_tick_us: Option<u64>,
 }
 
@@ -91,7 +92,7 @@ pub struct FindingAnswer<'a> {
     line: usize,
     column: usize,
     cause: &'a str,
-    /// The usual remedy.
+    /// The advice that usually helps against such a finding.
     help: &'static str,
     /// The states of other tasks at the finding.
     meanwhile: Vec<Meanwhile<'a>>,
@@ -117,39 +118,41 @@ struct Meanwhile<'a> {
     does: &'a str,
 }
 
-/// One search of the cell.
+/// The results of one search of the cell.
 #[derive(Serialize)]
 struct Searched<'a> {
     with_faults: bool,
     bounds: Bounds<'a>,
-    /// `ends`: packets take the bound of their link, actions their least or most time. `between`: packets may also arrive,
-    /// and actions end, right after anything that happens meanwhile. `every`: also at every tick, or every model tick.
+    /// `ends`: packets take the bound of their link, actions their least or most time. `between`: packets may also
+    /// arrive, and actions may end, right after any other event in that time. `every`: they may also do so at every
+    /// tick, or every model tick.
     times: &'static str,
-    /// Independent parts of the cell, each searched by itself.
+    /// How many independent parts the cell has. Each part is searched by itself.
     parts: u32,
     states: u64,
     /// How many of these stand for more times than can occur; no finding rests on such times.
     hulls: u64,
     transitions: u64,
-    /// The greatest distance of a state from the start, in choices. `whole_depth` is the depth up to which everything was
-    /// explored.
+    /// The greatest distance of a state from the start, counted in choices. `whole_depth` is the depth up to which all
+    /// states were explored.
     depth: u64,
     whole_depth: u64,
     complete: bool,
     /// Whether states beyond a finding were not explored.
     pruned: bool,
-    /// The budget that ended the search; null if none did.
+    /// The budget that ended the search; null if no budget did.
     ended_by: Option<&'a str>,
-    /// The states that the search had found and not looked at when a budget ended it; null if it had looked at all.
+    /// The states that the search had found and not explored when a budget ended it; null if it had explored all of them.
     unfinished: Option<Left<'a>>,
     seconds: f64,
 }
 
-/// The states that were found and not looked at, and what makes the search large.
+/// The states that a search had found and not explored, and what makes the search large.
 #[derive(Serialize)]
 struct Left<'a> {
     states: u64,
-    /// How many of all states the following fields describe, and how many of these differ in something other than times.
+    /// How many of the states that were not explored the following fields describe. Then, how many of the described
+    /// states differ in something other than times.
     sampled: u64,
     apart_from_times: u64,
     /// The variables with the most values.
@@ -163,7 +166,7 @@ struct Variable<'a> {
     values: u64,
 }
 
-/// The faults that a search may use: counts, the nodes that crash, the ends of the links that are cut.
+/// The faults that a search may use: how many of each kind, the nodes that crash, and the ends of the links that are cut.
 #[derive(Serialize)]
 struct Bounds<'a> {
     loss: u8,
@@ -193,7 +196,7 @@ impl Subject {
     ) -> Answer<'a> {
         let settled = |check: usize| {
             let fails = verdicts.findings.iter().any(|f| f.kind == Kind::Check && f.check == Some(check));
-            // States beyond a finding that ends its path were not explored.
+            // After a finding that ends its path, the states beyond it were not explored.
             let whole = verdicts.is_complete() && !verdicts.phases.iter().any(|phase| phase.pruned);
             let outcome = match (fails, whole) {
                 (true, _) => "fails",
@@ -240,7 +243,7 @@ impl Subject {
         self.rounded().map(|(line, column, what)| Rounded { line, column, what }).collect()
     }
 
-    /// Why the cell was not checked.
+    /// The reason for which the cell was not checked.
     pub fn not_checked<'a>(&'a self, refused: &'a Refused) -> NotChecked<'a> {
         let place = self.place(refused.task, refused.at);
         let (line, column) = (place.map(|place| place.0), place.map(|place| place.1));

@@ -66,7 +66,7 @@ fn keep(
         None => all.iter().position(|finding| !finding.moves.is_empty()).unwrap_or(0),
     };
     let Some(finding) = all.get(at) else {
-        // If there are no findings, nothing can be saved, and that is no error.
+        // If there are no findings, there is nothing to save, and that is no error.
         let missed = args.finding.filter(|_| !all.is_empty());
         let missed = missed.map(|number| format!("--finding {number}: there are {}", all.len()));
         return missed.map_or(Ok(None), |missed| Err(Failure::Usage(missed)));

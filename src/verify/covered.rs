@@ -1,10 +1,11 @@
-//! How far a search came: what it covered and, if a budget ended it, what makes it large and what would let it end.
+//! Texts about how far a search came: what it covered. If a budget ended the search, they also say what makes it large,
+//! and what would let it end.
 
 use super::subject::Subject;
 use crate::output::{count, grouped};
 use imrs_model::cell::{CellPlan, Coverage, Phase};
 
-/// So many states for each that differs in something other than times make times worth naming.
+/// If there are this many states for each state that differs in something other than times, the text names times as a reason.
 const MANY_TIMES: u64 = 3;
 
 /// What a phase covered, in one line.
@@ -30,7 +31,7 @@ pub(super) fn looked_at(phase: &Coverage) -> String {
     )
 }
 
-/// How many of the states that were found were looked at, too: the beginning of a sentence, empty if all were.
+/// The beginning of a sentence: how many of the found states were explored, too. Empty if all of them were explored.
 fn share(phase: &Coverage) -> String {
     let Some(left) = &phase.unfinished else { return String::new() };
     let done = phase.states.saturating_sub(left.open);

@@ -4,7 +4,7 @@ use crate::failure::Failure;
 use crate::output::{FAINT, Output, Styled};
 use imrs_model::cell::{CellPlan, Tried};
 
-/// What the verdict on no cell covers.
+/// What no verdict on a cell covers.
 const STANDSTILLS: &str = "livelock: a task that polls for ever while other tasks make progress, or one that only asks again and again whether something came";
 
 /// What the verdict on a cell with extern tasks does not cover.

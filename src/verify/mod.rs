@@ -28,7 +28,7 @@ use std::num::NonZero;
 use std::thread;
 use std::time::Instant;
 
-/// Memory limit of a check without `--memory`, in bytes.
+/// The memory limit of a check if the user gives no `--memory`, in bytes.
 const DEFAULT_MEMORY: u64 = 4 << 30;
 
 /// Checks a cell if one was named, else the protocol's claims.

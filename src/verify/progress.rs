@@ -7,7 +7,7 @@ use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// Progress lines, if standard error is a terminal.
+/// The progress lines of the claims, if standard error is a terminal.
 pub struct Lines {
     all: MultiProgress,
     running: Mutex<Vec<Line>>,
@@ -20,7 +20,7 @@ struct Line {
     bar: ProgressBar,
 }
 
-/// The place of progress lines: standard error, if it is a terminal and the answer is text.
+/// Where progress lines are drawn: on standard error, if it is a terminal and the answer is text.
 pub(super) fn display(format: Format) -> MultiProgress {
     let target = match format {
         Format::Text => ProgressDrawTarget::stderr_with_hz(5),
@@ -59,7 +59,7 @@ impl Progress for Lines {
     }
 
     fn states(&self, name: &str, states: u64) {
-        // If several rules of a claim are being checked, the newest line is changed.
+        // If several rules of a claim are being checked, the line of the last one is changed.
         if let Some(line) = self.running().iter().rev().find(|line| line.name == name) {
             line.bar.set_message(format!("{}: {} states", line.title, grouped(states)));
         }

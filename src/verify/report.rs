@@ -6,14 +6,14 @@ use imrs_model::{Compared, Outcome, Report, Verdict, compared};
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-/// The claim whose figures are shown as a table of their own.
+/// The claim whose results are shown in a table of their own.
 const UNDER_LOSS: &str = "rendezvous-under-loss";
-/// How many lines of a counterexample are shown from its beginning, unless the user asked for its claim.
+/// How many lines of a counterexample are shown from its beginning, unless the user named its claim.
 const CHART_HEAD: usize = 6;
-/// How many lines of a chart are shown: those at its end, which say what is wrong.
+/// How many lines are shown from the end of a counterexample, where the fault is.
 const CHART_TAIL: usize = 3;
 
-/// Prints a report. With `in_full` the counterexamples are printed whole.
+/// Prints a report. With `in_full` the counterexamples are printed completely.
 pub fn show(report: &Report, in_full: bool, took: Duration, out: &mut Output) -> Result<(), Failure> {
     table(report, out)?;
     rules_under_loss(report, out)?;
@@ -79,7 +79,7 @@ fn bounds(v: &Verdict) -> String {
 /// The width of the verdict column.
 const VERDICT: usize = 20;
 
-/// The verdict against its expectation.
+/// The text of the verdict, compared with the expectation.
 fn verdict_cell(v: &Verdict) -> String {
     let text = match (v.as_expected, v.outcome) {
         (true, Outcome::Holds) => "holds",
@@ -102,7 +102,7 @@ fn widest<'a>(names: impl Iterator<Item = &'a String>, head: &str) -> usize {
     names.map(String::len).chain([head.len()]).max().unwrap_or(0)
 }
 
-/// Prints how many lost packets suffice to strand a member, by rule of confirmation and number of members.
+/// Prints how many lost packets suffice to strand a member, for each rule of confirmation and number of members.
 fn rules_under_loss(report: &Report, out: &mut Output) -> Result<(), Failure> {
     let of: Vec<&Verdict> = report.claims.iter().filter(|v| v.name == UNDER_LOSS).collect();
     let sizes: BTreeSet<u32> = of.iter().map(|v| v.parties).collect();
@@ -163,8 +163,8 @@ fn margins(report: &Report, out: &mut Output) -> Result<(), Failure> {
 fn counterexamples(report: &Report, in_full: bool, out: &mut Output) -> Result<(), Failure> {
     for v in &report.claims {
         let Some(counterexample) = &v.counterexample else { continue };
-        // The table of rules says the same as this counterexample, so the counterexample is shown only if the user asked for
-        // it.
+        // The table of rules says the same as this counterexample, so the counterexample is shown only if the user
+        // named the claim.
         if v.name == UNDER_LOSS && !in_full && v.as_expected {
             continue;
         }

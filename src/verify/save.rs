@@ -17,10 +17,11 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 const BUILD: &str = concat!("imrs ", env!("CARGO_PKG_VERSION"));
 
-/// Saves the counterexample of a finding. Returns false if the finding has none: no path leads to an unreachable statement.
+/// Saves the counterexample of a finding. Returns false if the finding has no counterexample: for example, no path
+/// leads to an unreachable statement.
 ///
 /// # Errors
-/// The file cannot be written.
+/// An error if the file cannot be written.
 pub(super) fn save(
     path: &Path,
     subject: &Subject,
@@ -63,11 +64,11 @@ impl Subject {
     fn step(&self, number: usize, scene: &Scene) -> Step {
         let words = |happening: &Shows| match happening {
             Shows::Said(words) => Some(words.clone()),
-            // An extern task has no statements that could be shown.
+            // An extern task has no statement that could be shown.
             Shows::Began(task, at) => {
                 let (line, _, text) = self.place(*task, *at)?;
                 let name = self.task(*task);
-                // The text of a task that only answers is its name.
+                // If a task only answers, the text of its statement is the task's name.
                 Some(if text == name {
                     format!("{name} begins (line {line})")
                 } else {
@@ -93,7 +94,7 @@ impl Subject {
 struct Film<'a, W> {
     writer: RecordingWriter<W>,
     subject: &'a Subject,
-    /// For each node, the incarnation of which the recording currently shows frames.
+    /// For each node, the incarnation whose frames the recording shows at present.
     attached: Vec<Option<imrs_protocol::Incarnation>>,
     at: u64,
 }

@@ -11,12 +11,13 @@ use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// The time over which the number of open states is compared, in seconds.
+/// The length of the interval over which the number of open states is compared, in seconds. An open state is found and
+/// not explored yet.
 const LATELY: f64 = 3.0;
-/// At most so many findings are shown while the search goes on.
+/// The greatest number of findings that are shown while the search goes on.
 const FEW: usize = 5;
 
-/// Progress lines, if standard error is a terminal.
+/// The progress lines of a search, if standard error is a terminal.
 pub(super) struct SearchLines<'a> {
     subject: &'a Subject,
     plan: &'a CellPlan,
@@ -25,20 +26,20 @@ pub(super) struct SearchLines<'a> {
     found: RefCell<Vec<String>>,
 }
 
-/// The search that is running.
+/// The search that runs now.
 struct Running {
     bar: ProgressBar,
     title: String,
     pace: Pace,
 }
 
-/// How the number of open states has changed lately.
+/// The number of open states at several recent times.
 #[derive(Default)]
 struct Pace(VecDeque<(f64, u64)>);
 
 impl Pace {
-    /// Notes how far the search is. Returns the seconds that it still takes if the open states become fewer as they did lately,
-    /// or `None` if they do not.
+    /// Notes how far the search is. Returns in how many seconds it will end if the open states become fewer as fast as
+    /// before, or `None` if they do not become fewer.
     fn note(&mut self, so_far: &SoFar) -> Option<f64> {
         while self.0.get(1).is_some_and(|&(at, _)| so_far.seconds - at >= LATELY) {
             self.0.pop_front();
@@ -64,7 +65,7 @@ impl<'a> SearchLines<'a> {
         let _ = self.all.clear();
     }
 
-    /// A line that stays until all are removed.
+    /// Adds a line that stays until all lines are removed.
     fn add(&self, text: String) {
         let bar = self.all.add(ProgressBar::new_spinner());
         if let Ok(style) = ProgressStyle::with_template("{wide_msg}") {
@@ -80,7 +81,7 @@ impl SearchProgress for SearchLines<'_> {
         let before = self.running.take().map(|running| running.bar);
         let bar = before.unwrap_or_else(|| {
             let bar = self.all.add(ProgressBar::new(100));
-            // A share that is not known yet leaves the bar empty.
+            // If the share is not known yet, the bar is empty.
             if let Ok(style) = ProgressStyle::with_template("{spinner} [{bar:12}] {wide_msg}") {
                 bar.set_style(style.progress_chars("=> "));
             }
@@ -140,7 +141,7 @@ mod tests {
         assert_eq!(pace.note(&at(0.0, 100)), None, "nothing to compare with");
         assert_eq!(pace.note(&at(2.0, 300)), None, "it grows");
         assert_eq!(pace.note(&at(4.0, 200)), None, "more than at the first of these");
-        // Three seconds ago, or the last before that, there were 300.
+        // Three seconds ago, there were 300 open states.
         let left = pace.note(&at(6.0, 100)).expect("it shrinks");
         assert!((left - 2.0).abs() < 1e-9, "{left}");
     }

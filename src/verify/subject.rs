@@ -24,14 +24,15 @@ pub struct Subject {
     pub file: String,
     pub source: Source,
     pub lowered: Lowered,
-    /// The span of each task's head.
+    /// The place of each task's heading in the source text.
     tasks: Vec<Span>,
-    /// The span of each work couple, in the order of the table.
+    /// The place of each work couple in the source text, in the order of the table.
     couples: Vec<Span>,
     pub table: Arc<CellTable>,
     /// The length of a tick in microseconds.
     pub tick_us: u64,
-    /// The interval in microseconds at which an action may end between its least and its most time, if the cell declares one.
+    /// The interval of the times at which an action may end, between its least and its most time, in microseconds;
+    /// `None` if the cell declares none.
     pub model_tick_us: Option<u64>,
 }
 
@@ -89,7 +90,7 @@ impl Subject {
     /// The plan with the requested faults, budget and times added.
     ///
     /// # Errors
-    /// The faults name nodes or tasks that the cell does not have.
+    /// An error if the faults name nodes or tasks that the cell does not have.
     pub fn plan(&self, args: &VerifyVerb) -> Result<CellPlan, Failure> {
         let mut plan = self.declared(args.verify.jobs);
         self.add(&args.faults, &mut plan.faults)?;
@@ -103,7 +104,7 @@ impl Subject {
             args::Times::Zones => Times::Zones,
         };
         if plan.times == Times::Zones {
-            // Zones take no longer at finer ticks.
+            // A search by zones takes no longer if the ticks are finer.
             plan.step = 1;
         }
         Ok(plan)
@@ -142,7 +143,7 @@ impl Subject {
         Ok(())
     }
 
-    /// The times that were rounded to the tick: line, column, and the result.
+    /// The times that were rounded to the tick: for each, its line and column, and a text about the result.
     pub fn rounded(&self) -> impl Iterator<Item = (usize, usize, &str)> {
         self.lowered.notes.iter().map(|note| {
             let (line, column) = self.source.position(note.primary.span.start);
@@ -166,7 +167,7 @@ impl Subject {
         self.table.cell().tasks.get(task.index()).map_or("?", |task| task.name.as_str())
     }
 
-    /// Line and column, from 1, and the first line of the statement that an operation belongs to.
+    /// The place of the statement to which an operation belongs: line and column, from 1, and the statement's first line.
     pub fn place(&self, task: TaskId, at: Address) -> Option<(usize, usize, &str)> {
         let Behaviour::Script(script) = self.lowered.tasks.get(task.index())? else { return None };
         let span = *script.spans.get(usize::from(at))?;
@@ -192,7 +193,7 @@ impl Subject {
         of_task.or_else(of_check).or_else(of_couple).or_else(of_head).unwrap_or_else(|| self.head())
     }
 
-    /// The span of the cell's declaration: the place of a finding that has no other place.
+    /// The place of the cell's declaration. It is used for a finding that has no other place.
     fn head(&self) -> (usize, usize, &str) {
         let mut lines = (1..).zip(self.source.text().lines());
         let head = lines.find(|(_, text)| text.trim_start().starts_with("cell "));
@@ -201,7 +202,7 @@ impl Subject {
     }
 }
 
-/// What the model lets a task do.
+/// The model's description of what a task may do.
 pub fn conduct(behaviour: &Behaviour) -> Conduct {
     match behaviour {
         Behaviour::Script(script) => {

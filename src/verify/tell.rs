@@ -14,14 +14,14 @@ use imrs_protocol::TaskId;
 use imrs_protocol::script::Address;
 use std::fmt::Write as _;
 
-/// How many lines of a chart are shown from its end, for every finding but the first.
+/// How many lines are shown from the end of a chart, for every finding but the first.
 const CHART_TAIL: usize = 8;
 /// At most this many statements are shown with their text.
 const FEW: usize = 6;
-/// The most columns of a statement's text.
+/// The greatest number of columns for a statement's text.
 const EXCERPT: usize = 48;
 
-/// The result of checking a cell, with its context.
+/// The result of checking a cell, with the data that its texts need.
 pub(super) struct Telling<'a> {
     pub subject: &'a Subject,
     pub plan: &'a CellPlan,
@@ -33,7 +33,7 @@ pub(super) struct Telling<'a> {
     pub failed: bool,
 }
 
-/// A message for each named file that was not written although nothing failed.
+/// For each file that the user named and that was not written although nothing failed, a message.
 pub(super) fn unkept(args: &CellFaultArgs, verdicts: &Verdicts, saved: Option<usize>) -> Vec<String> {
     let none = verdicts.findings.is_empty();
     let why = match (none, &verdicts.refused) {
@@ -137,7 +137,7 @@ impl Telling<'_> {
         format!("{}; tick {tick}{}", words.collect::<Vec<_>>().join("; "), model.unwrap_or_default())
     }
 
-    /// The command that shows a finding step by step. None if the finding has no counterexample.
+    /// The command that shows a finding step by step; `None` if the finding has no counterexample.
     fn step_by_step(&self, number: usize, finding: &Finding) -> Option<String> {
         if finding.moves.is_empty() {
             return None;
@@ -231,7 +231,7 @@ impl Subject {
         out.line(format!("  help: {}", help(finding.kind)))
     }
 
-    /// Prints the times that are not multiples of the tick. `found`: there are findings, perhaps caused by rounding.
+    /// Prints the times that are not multiples of the tick. If there are findings (`found`), the rounding may have caused them.
     ///
     /// # Errors
     /// [`Failure::Output`].
@@ -251,7 +251,7 @@ impl Subject {
         Ok(())
     }
 
-    /// The tasks with the same finding, as text: `b (line 39), c (line 50), which have the same statements`.
+    /// The other tasks with the same finding, as text: `b (line 39), c (line 50), which have the same statements`.
     fn also(&self, finding: &Finding) -> String {
         let place = |&task: &TaskId| {
             let line = finding.address.and_then(|at| self.place(task, at)).map(|place| place.0);
@@ -277,7 +277,7 @@ impl Subject {
         format!("{name} is at line {line}: {}", short(text))
     }
 
-    /// Prints statements by task: `armL line 12, 14; hoist line 31`; a few statements with their text.
+    /// Prints statements by task: `armL line 12, 14; hoist line 31`. If there are only a few, it prints them with their text.
     pub fn statements(
         &self,
         what: &str,
@@ -347,7 +347,7 @@ pub fn chart(chart: &str, all: Option<&String>, out: &mut Output) -> Result<(), 
     Ok(())
 }
 
-/// The faults and times of a phase: those declared and those requested.
+/// The faults and times of a phase as text: those that the cell declares, and those that the user added.
 pub(super) fn bounds(plan: &CellPlan, (phase, hypothesis): (Phase, usize), times: Times) -> String {
     let faults = match phase {
         Phase::FaultFree => "Without faults".into(),

@@ -9,7 +9,7 @@ use imrs_protocol::script::{Action, Activity, Address, End, Program};
 use imrs_protocol::*;
 use std::sync::Arc;
 
-/// A packet on a link.
+/// A packet that is on a link.
 struct Flight {
     due: u64,
     from: NodeId,
@@ -34,7 +34,7 @@ struct Outside {
     table: Arc<CellTable>,
     programs: Vec<(TaskId, Arc<Program>)>,
     now: u64,
-    /// The node that has taken the current input.
+    /// The node that is taking the current input.
     from: NodeId,
     loss: Loss,
     busy: Vec<NodeId>,
@@ -128,7 +128,7 @@ fn of_handler(level: u8) -> String {
 pub struct VirtualCell {
     /// The nodes of the cell.
     pub nodes: Vec<ScriptedNode>,
-    /// A function that gives the result of an action, from its name and the time.
+    /// A function that gives the result of an action, from the action's name and the time.
     pub results: fn(&str, u64) -> i32,
     down: Vec<bool>,
     transit: u16,
@@ -169,14 +169,14 @@ impl VirtualCell {
         Self { down: vec![false; nodes.len()], nodes, results: |_, _| 0, transit, out }
     }
 
-    /// Lets the scripts choose this alternative at once. Otherwise they wait for [`HostInput::Chosen`].
+    /// From now on scripts that choose get this alternative at once. Otherwise they wait for [`HostInput::Chosen`].
     #[must_use]
     pub fn choosing(mut self, choice: u16) -> Self {
         self.out.choice = Some(choice);
         self
     }
 
-    /// Begins these scripts.
+    /// Begins these scripts, each on the node of its task.
     #[must_use]
     pub fn begin(mut self, scripts: impl IntoIterator<Item = (TaskId, impl Into<Arc<Program>>)>) -> Self {
         self.out.programs = scripts.into_iter().map(|(task, program)| (task, program.into())).collect();
@@ -261,7 +261,7 @@ impl VirtualCell {
         }
     }
 
-    /// Ends the actions whose time has passed. Actions that take no time end at once.
+    /// Ends the actions whose duration has passed. Actions without a duration end at once.
     fn end_actions(&mut self) {
         while let Some(at) = self.out.running.iter().position(|running| running.due <= self.out.now) {
             let Running { task, level, name, .. } = self.out.running.remove(at);
@@ -337,8 +337,8 @@ impl VirtualCell {
         delivery.unwrap_or_else(|| panic!("{task} was told {told:?}"))
     }
 
-    /// The packets that left a node, and the signals to tasks without a script, since the last call: `3 N0>N1 SEND ...`, `4
-    /// T1: message ...`.
+    /// The packets that left a node and the signals to tasks without a script, since the last call, as text: `3 N0>N1 SEND
+    /// ...`, `4 T1: message ...`.
     pub fn transcript(&mut self) -> Vec<String> {
         std::mem::take(&mut self.out.transcript)
     }
@@ -360,15 +360,15 @@ impl VirtualCell {
         self.out.observations.iter().filter(|(_, observation)| observation.event == event).count()
     }
 
-    /// What the scripts are doing, node by node.
+    /// The activities of the scripts, node by node.
     #[must_use]
     pub fn activities(&self) -> Vec<Activity> {
         let scripts = self.nodes.iter().flat_map(|node| &node.scripts);
         scripts.map(|hosted| hosted.host.script.activity()).collect()
     }
 
-    /// The numbers of the scripts' requests other than boundaries, of their statements, and of commands that the scripts
-    /// never answered.
+    /// Three numbers: of the scripts' requests other than boundaries, of their statements, and of commands that they never
+    /// answered.
     #[must_use]
     pub const fn counts(&self) -> (usize, usize, usize) {
         (self.out.requests, self.out.statements, self.out.unanswered)

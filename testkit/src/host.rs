@@ -72,10 +72,10 @@ pub trait HostOutbox: NodeOutbox {
     }
 }
 
-/// A task's script.
+/// A script, and the task to which it belongs.
 #[derive(Clone, Debug)]
 pub struct Hosted {
-    /// The task that the script belongs to.
+    /// The task to which the script belongs.
     pub task: TaskId,
     /// The script, and the machine that runs it.
     pub host: ScriptHost,
@@ -118,7 +118,7 @@ impl ScriptedNode {
     /// happens first.
     pub fn step(&mut self, now: Instant, input: impl Into<HostInput>, out: &mut impl HostOutbox) {
         let input = input.into();
-        // A node without scripts lets the time pass in the step itself.
+        // A node without scripts lets time pass within the step of the input.
         if now > self.node.now() && !self.scripts.is_empty() && input != HostInput::Node(NodeInput::Time) {
             self.go_on(now, HostInput::Node(NodeInput::Time), out);
         }

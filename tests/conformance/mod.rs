@@ -1,6 +1,6 @@
 //! Compares running nodes with the verified machine (M16). A node's recording is replayed while the node runs, and the
-//! monitor must show every deviation of the runtime. Each fault is put into a true recording, as a runtime with that fault
-//! would have written it, and a stub node announces the recording.
+//! monitor must show every deviation of the runtime. Each test puts a fault into a genuine recording, as a runtime with
+//! that fault would have recorded it. A stub node then announces the recording to the monitor.
 
 mod mutants;
 
@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// Time limit without progress of the judging thread, which has the lowest priority of all (nice 19).
+/// How long the judging thread may take without any progress: it has the lowest priority of all (nice 19).
 const LONG: Duration = Duration::from_secs(600);
 /// The goal for the speed of the judge, in inputs per second.
 const GOAL: f64 = 200_000.0;
@@ -61,7 +61,7 @@ begin
 end arm;
 ";
 
-/// A cell in which one task sends 40 queries in each of `ROUNDS` rounds to another one of its node. Then both end.
+/// A cell in which one task sends 40 queries in each of `ROUNDS` rounds to another task of its node. Then both tasks end.
 const CHAT: &str = "\
 cell judged;
 tick 1 msec;
@@ -98,7 +98,7 @@ struct Bench {
 }
 
 impl Bench {
-    /// Runs the cell for so many rounds.
+    /// Runs the cell for this many rounds.
     fn run(rounds: usize) -> Self {
         let dir = runtime_dir();
         let (cell, record) = (dir.path().join("judged.cell"), dir.path().join("run.imrs"));
@@ -140,7 +140,7 @@ impl Bench {
 /// A monitor, and the stub that it watches.
 struct Watched {
     monitor: Program,
-    /// The stub and its folder, dropped after the monitor.
+    /// The stub and its folder, which are dropped after the monitor.
     _seen: Option<(Stub, TempDir)>,
 }
 
@@ -163,7 +163,7 @@ impl Watched {
         (verdict, node["conforming_steps"].as_u64().unwrap_or(0), words)
     }
 
-    /// Waits until the verdict is `verdict` after at least so many steps, as long as the judging makes progress.
+    /// Waits until the verdict is `verdict` after at least this many steps, as long as the judge makes progress.
     fn until(&mut self, verdict: &str, steps: u64) -> (u64, Option<String>) {
         let (mut most, mut end) = (0, Instant::now() + LONG);
         loop {
@@ -211,8 +211,8 @@ fn every_fault_of_a_runtime_is_seen_and_a_true_recording_conforms() {
     println!("{} of {} mutants flagged", MUTANTS.len(), MUTANTS.len());
 }
 
-/// A recording is followed as it grows, a fault in a replacing file is seen, and a file that takes its name is read from the
-/// beginning.
+/// The monitor follows a recording as it grows. It notices a fault in a file that replaces the recording, and reads a
+/// file that takes its name from the beginning.
 #[test]
 fn a_recording_is_followed_as_it_grows_and_begins_anew_when_it_is_replaced() {
     let bench = Bench::run(6);
@@ -227,7 +227,7 @@ fn a_recording_is_followed_as_it_grows_and_begins_anew_when_it_is_replaced() {
     let (steps, _) = watched.until("conforms", inputs(&first.records));
     assert_eq!(steps, inputs(&first.records));
 
-    // The second half is appended, byte for byte as the node would.
+    // The second half is appended to the recording, byte for byte as a node would do it.
     let all = bench.dir.path().join("all.imrs");
     tape.write(&all);
     let (bytes, before) = (fs::read(&all).expect("a file"), fs::read(&path).expect("a file"));
@@ -237,7 +237,7 @@ fn a_recording_is_followed_as_it_grows_and_begins_anew_when_it_is_replaced() {
     let (steps, _) = watched.until("conforms", whole);
     assert_eq!(steps, whole);
 
-    // The file is replaced by one with a fault, then by the true one.
+    // The file is replaced, first by a recording with a fault, then by the genuine one.
     let mut wrong = tape;
     (MUTANTS[0].make)(&mut wrong.records).expect("a fault");
     let other = bench.dir.path().join("other.imrs");
@@ -273,7 +273,7 @@ fn it_keeps_up_with_a_busy_node() {
     let bench = Bench { dir, cell };
     let tape = bench.tape("na");
     let all = inputs(&tape.records);
-    // If the disk was too slow, the recording has gaps, and is judged up to the first gap.
+    // If the disk was too slow, the recording has gaps, and the judge only judges it up to the first gap.
     let whole = !tape.records.iter().any(|record| matches!(record, Record::Gap { .. }));
     if !whole {
         println!("its disk could not keep up with the node: nothing is measured");
@@ -285,7 +285,7 @@ fn it_keeps_up_with_a_busy_node() {
     let first = later.until("conforms", 1).0;
     let since = Instant::now();
     later.until("conforms", all);
-    // If the judge read everything in one look, the look took no longer than this time.
+    // If the judge read the whole recording in one call, the call took no longer than this time.
     let (seconds, more) = match all - first {
         0 => (0.25, all),
         more => (since.elapsed().as_secs_f64().max(1e-3), more),

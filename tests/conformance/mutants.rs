@@ -1,7 +1,7 @@
 //! Faults of a runtime, each as it would appear in a recording.
 //!
-//! Each input is recorded with the digest of the machine's outputs up to then. If a runtime deviates from the verified machine,
-//! the inputs and the digests no longer match.
+//! Each input is recorded with the digest of the machine's outputs up to that input. If a runtime deviates from the
+//! verified machine, the inputs and the digests do not match.
 #![allow(clippy::ptr_arg, reason = "all of them have one type, and some take records away")]
 
 use imrs_protocol::{Contents, Incarnation, Input, Kind, Packet, Ticks};
@@ -13,7 +13,8 @@ pub struct Mutant {
     pub name: &'static str,
     /// The node whose recording the fault changes.
     pub node: &'static str,
-    /// Applies the fault. Returns the position of the changed record; none if the recording has no suitable place.
+    /// Applies the fault to the records. Returns the position of the changed record, or `None` if the recording has no
+    /// suitable place.
     pub make: fn(&mut Vec<Record>) -> Option<usize>,
 }
 
@@ -42,7 +43,7 @@ pub const MUTANTS: &[Mutant] = &[
     Mutant { name: "an input at the end is written down nowhere", node: "na", make: lost_at_the_end },
 ];
 
-/// The digest after the input at `at`, and the digest before it.
+/// The digest of the outputs after the input at `at`, and the digest before that input.
 fn digests(records: &[Record], at: usize) -> Option<(u64, u64)> {
     let Record::Input { outputs, .. } = records.get(at)? else { return None };
     let before = records[..at].iter().rev().find_map(|record| match record {
@@ -57,7 +58,7 @@ fn tells(records: &[Record], at: usize) -> bool {
     digests(records, at).is_some_and(|(after, before)| after != before)
 }
 
-/// The position of an input that fits and has outputs; of several such inputs, the one in the middle.
+/// The position of an input that `fits` accepts and that has outputs. If there are several, the one in the middle.
 fn place(records: &[Record], fits: impl Fn(&Input) -> bool) -> Option<usize> {
     places(records, |records, at| {
         matches!(&records[at], Record::Input { input, .. } if fits(input)) && tells(records, at)
@@ -126,7 +127,8 @@ fn early_time_out(records: &mut Vec<Record>) -> Option<usize> {
     let at = places(records, long)?;
     change(records, at, |elapsed, input, _| {
         *elapsed = Ticks(elapsed.0 / 2);
-        // The machine checks its deadlines itself, and does not rely on the Timer's report.
+        // The state machine checks its deadlines itself, and does not rely on the Timer's report, so this input is not
+        // necessary.
         *input = Input::Time;
     })
 }

@@ -9,10 +9,10 @@ use imrs_wire::recording::RecordingReader;
 use std::fs::File;
 use std::net::UdpSocket;
 
-/// Number of datagrams that fit into the kernel's receive queue.
+/// How many datagrams fit into the kernel's receive queue.
 const AT_ONCE: u64 = 64;
 
-/// A sender that is no neighbour, and sends no faster than the node discards.
+/// A sender that is no neighbour of the node, and that sends no faster than the node discards datagrams.
 struct Stranger {
     socket: UdpSocket,
     seen: Seen,
@@ -34,7 +34,7 @@ impl Stranger {
         }
     }
 
-    /// Waits until the node has discarded all datagrams that were sent, except for those that it loses on purpose.
+    /// Waits until the node has discarded all datagrams of this sender, except for those that it loses on purpose.
     fn wait(&mut self) {
         let sent = self.sent;
         self.seen.until("garbage is counted", |seen| {

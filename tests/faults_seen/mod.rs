@@ -1,5 +1,5 @@
-//! The fault matrix of the monitor (M15): each fault that is injected into running nodes raises its own finding and no
-//! unrelated one. Nodes without a fault raise none. The cells are slow, so that a busy machine causes no finding.
+//! The fault matrix of the monitor (M15): each fault that is injected into running nodes raises its own finding and no unrelated
+//! one. Nodes without a fault raise none. The cells are slow, so that a busy machine by itself causes no finding.
 
 mod cells;
 mod named;
@@ -45,7 +45,7 @@ fn a_node_that_comes_back_is_no_fault_any_more() {
     });
     let mut scene =
         Scene::of(&[(&text, &["--node", "nb"]), (&text, &["--node", "nc"]), (&text, &["--node", "na"])]);
-    // The first nodes may send before the last one has started. That is reported as a fault until it is over.
+    // The first nodes may send before the last node has started. The monitor reports this as a fault until it is over.
     scene.is_over("it is a fault that others come later", BTreeSet::is_empty);
     let since = scene.kill("nb");
     // The node stays down until the monitor has shown its death.
@@ -57,7 +57,7 @@ fn a_node_that_comes_back_is_no_fault_any_more() {
 
 #[test]
 fn a_restarted_node_says_how_long_it_is_held_back() {
-    // The script is held back for so long that a monitor sees it on any machine.
+    // The script is held back for so long that a monitor notices it on any machine.
     let text = WATCHED.replace("time_out = 20 sec", "time_out = 2000 sec") + LIGHT;
     let (take, took) = ("  use_port news(n: int16)  usage = receive;", "on receive news(n) do skip; end;");
     let text = text
@@ -116,7 +116,7 @@ fn more_news_than_are_taken_are_a_flood() {
 fn commands_without_space_are_refused() {
     let mut scene = Scene::waiting(NO_SPACE);
     let since = scene.go();
-    // The command that was sent first is more urgent. If it arrives second, it evicts the other one.
+    // The command that was sent first is more urgent. If it arrives second, it evicts the command that was sent second.
     scene.raises(since, "refused", &["command-evicted"]);
 }
 
@@ -261,7 +261,7 @@ end b;
     let mut scene = Scene::start(text, &[]);
     let monitor = scene.monitor.pid();
     signal(monitor, Signal::STOP);
-    // There are more events than all buffers between node and monitor can hold.
+    // The task sends more events than all buffers between node and monitor can hold.
     let mut other = Seen::by_monitor(scene.dir());
     let sent = |seen: &Value| figure(seen, "a", "news", "sent");
     let before = sent(&other.until("it is seen", |seen| sent(seen) > 0));
@@ -269,7 +269,7 @@ end b;
     drop(other);
     signal(monitor, Signal::CONT);
     let since = Instant::now();
-    // The monitor knows the age of the node's last report only once it has caught up.
+    // The monitor knows the age of the node's last report only once it has read all frames.
     scene.raises(
         since,
         "events-lost",

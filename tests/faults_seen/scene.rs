@@ -14,14 +14,14 @@ use tempfile::TempDir;
 
 /// The promised delay of a finding on a quiet machine. It is asserted if `IMRS_QUIET=1` says that this machine is quiet.
 const GOAL: Duration = Duration::from_secs(2);
-/// Time limit for any finding, however busy the machine is.
+/// How long any finding may take, however busy the machine is.
 pub const LONG: Duration = PATIENCE;
-/// The monitor's sampling interval.
+/// The time between two samples of the monitor.
 const EVERY: &str = "100ms";
-/// How long after the expected finding no unrelated finding may follow.
+/// For this long after the expected finding, no unrelated finding may come.
 const AFTER: Duration = Duration::from_secs(1);
 
-/// One sample: when it came, and the codes of its findings.
+/// One sample of the monitor: when it came, and the codes of its findings.
 pub struct Sample {
     at: Instant,
     pub codes: BTreeSet<String>,
@@ -39,7 +39,7 @@ impl Sample {
 /// A running cell, and a monitor that watches it.
 pub struct Scene {
     pub monitor: Program,
-    /// The launchers of the cells, dropped after the monitor.
+    /// The launchers of the cells, which are dropped after the monitor.
     cells: Vec<Live>,
     starved: Starved,
     stub: Option<Stub>,
@@ -63,7 +63,7 @@ impl Scene {
         Self::within(dir, &[(text, &["--action", &action])])
     }
 
-    /// Lets the action `go` end, and returns the instant at which it did so.
+    /// Lets the action `go` end. Returns the instant at which it did so.
     pub fn go(&self) -> Instant {
         std::fs::write(self.dir.path().join("gone"), "").expect("a file");
         Instant::now()
@@ -87,7 +87,7 @@ impl Scene {
         Self::seen(dir, cells, started, all)
     }
 
-    /// Kills the node of this name, which has a launcher of its own. Returns the instant of that.
+    /// Kills the node of this name, which has a launcher of its own. Returns the instant of the kill.
     pub fn kill(&mut self, name: &str) -> Instant {
         let at = self.place(name);
         signal(self.node(name).pid, Signal::KILL);
@@ -163,7 +163,7 @@ impl Scene {
         Sample { at, codes, line: report["findings"].to_string() }
     }
 
-    /// Asserts that no finding comes for so long.
+    /// Asserts that no finding comes for this long.
     pub fn is_calm_for(&mut self, length: Duration) {
         let end = Instant::now() + length;
         loop {
@@ -175,7 +175,7 @@ impl Scene {
         }
     }
 
-    /// Waits until `none` accepts the codes of a sample, because the condition that raised them is over.
+    /// Waits until `none` accepts the codes of a sample, because the condition that caused them is over.
     pub fn is_over(&mut self, what: &str, none: impl Fn(&BTreeSet<String>) -> bool) {
         let end = Instant::now() + LONG;
         while !none(&self.sample().codes) {
@@ -183,8 +183,8 @@ impl Scene {
         }
     }
 
-    /// Asserts that the fault at `since` raises `lint`, and that until shortly afterwards nothing but `lint` and its
-    /// `consequences` is found.
+    /// Asserts that the fault at the instant `since` raises the finding `lint`. Until shortly afterwards there must be
+    /// no findings but `lint` and its `consequences`.
     pub fn raises(&mut self, since: Instant, lint: &str, consequences: &[&str]) {
         let mut seen = None;
         let expected = [&[lint], consequences].concat();
@@ -205,8 +205,8 @@ impl Scene {
         is_soon(lint, since, seen.expect("seen"));
     }
 
-    /// Asserts that the short condition at `since` raises `lint` before `end` is raised, unless the machine keeps the node from
-    /// reporting meanwhile.
+    /// Asserts that the short condition at the instant `since` raises the finding `lint` before the finding `end` is
+    /// raised, unless the machine keeps the node from reporting in that time.
     pub fn raises_before(&mut self, since: Instant, lint: &str, end: &str, node: &str) {
         let give_up = since + LONG;
         loop {

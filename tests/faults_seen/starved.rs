@@ -9,9 +9,9 @@ use std::time::{Duration, Instant};
 
 /// The name of the observer thread.
 const NAME: &str = "imrs observer";
-/// The time span at which `lately` looks.
+/// The length of the past that `lately` considers.
 const LATELY: Duration = Duration::from_secs(3);
-/// A thread that waited so long for a processor within `LATELY` counts as unable to report.
+/// A thread that waited this long for a processor within `LATELY` counts as unable to report.
 const LONG: Duration = Duration::from_millis(250);
 
 /// The waiting times of the nodes' observer threads.
@@ -21,7 +21,7 @@ pub struct Starved {
     threads: BTreeMap<String, Thread>,
     /// The timing of a stub node.
     pub stub: Option<Beat>,
-    /// When the last sample came, and when one last came late. A late sample means that the whole machine stalled.
+    /// When the last sample came, and when a sample last came late. A late sample means that the whole machine stood still.
     sampled: Option<Instant>,
     stood_still: Option<Instant>,
 }
@@ -57,7 +57,7 @@ impl Starved {
         }
     }
 
-    /// Whether this node's observer waits for a processor now, or has waited long lately.
+    /// Whether this node's observer thread waits for a processor now, or has recently waited for long.
     pub fn now(&self, node: &Value) -> bool {
         let is_late = self.stub.as_ref().is_some_and(|beat| beat.was_late(LATELY));
         let waits = |name| self.lately(name) || self.threads.get(name).is_some_and(Thread::waits);
@@ -65,7 +65,7 @@ impl Starved {
         is_late || stood_still || node.as_str().is_some_and(waits)
     }
 
-    /// Whether this node's observer has waited long lately.
+    /// Whether this node's observer thread has recently waited for long.
     pub fn lately(&self, node: &str) -> bool {
         let waited =
             self.threads.get(node).and_then(|thread| Some((thread.waited.front()?, thread.waited.back()?)));

@@ -1,4 +1,4 @@
-//! Tests of faults that no run of this command can produce: a stub node reports them.
+//! Tests of faults that no run of this command can cause: a stub node reports them.
 
 use super::scene::Scene;
 use crate::support::runtime_dir;
@@ -33,7 +33,7 @@ fn port(port: PortId, usage: Usage, class: Class, capacity: u16) -> PortView {
     PortView { port, usage, class, len: 0, capacity, min_slack: None, queue: Vec::new(), counters }
 }
 
-/// A state in which both tasks run, and nothing waits.
+/// A node's state in which both tasks run, and no message waits.
 fn healthy() -> Snapshot {
     let task = |task: TaskId| {
         let (usage, capacity) = if task == LEFT { (Usage::Send, 0) } else { (Usage::Receive, 8) };

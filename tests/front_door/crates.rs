@@ -1,5 +1,5 @@
-//! Tests of the crates as packages: the entries of their manifests, and the README examples that no crate documentation
-//! contains.
+//! Tests of the crates as packages: the entries of their manifests, and those README examples that no crate
+//! documentation contains.
 
 use super::{CRATES, ROOT, read};
 use imrs_model::{Options, Silent, verify};
@@ -57,7 +57,7 @@ fn the_example_of_the_protocol_runs() -> Result<(), Box<dyn Error>> {
     let table = Arc::new(CellTable::new(cell).expect("a sound cell"));
     let mut node = Node::new(NodeTable::new(table, here), Incarnation(0), false, 16);
 
-    // Time is an input: no task answers, and the command's time_out ends.
+    // Time is an input of the state machine: no task answers, so the command's time_out ends.
     let contents = Contents::new(b"how many?").ok_or("too long")?;
     let question = Request::Send { port: ask, to: Target::One(answerer), contents, time_out: None };
     node.step(Instant::START, NodeInput::Request(asker, question), &mut told);

@@ -33,7 +33,7 @@ fn the_printed_verdicts_are_those_of_today() {
     }
 }
 
-/// A line without its numbers (except line numbers of the cell), and with one unit of time.
+/// A line without its numbers (except line numbers of the cell), and with all units of time replaced by one.
 fn shape(line: &str) -> String {
     let mut words: Vec<String> = Vec::new();
     for word in line.split_whitespace() {
@@ -86,8 +86,8 @@ fn events(out: &str) -> Vec<(f64, &str, &str)> {
     lines.collect()
 }
 
-/// Whether the cut came while both arms moved, each then stopped by itself, and both lifted again. On a busy machine an arm
-/// may have stopped before the cut, or not noticed it; such a run is not compared.
+/// Whether the cut came while both arms moved, whether each arm then stopped by itself, and whether both lifted again.
+/// On a busy machine an arm may have stopped before the cut, or not have noticed it; such a run is not compared.
 fn is_evidence(out: &str) -> bool {
     let (cell, events) = (read("examples/beam_lift.cell"), events(out));
     let Some(cut) = events.iter().find(|(_, task, _)| *task == "fault:").map(|(at, ..)| *at) else {
@@ -104,7 +104,7 @@ fn is_evidence(out: &str) -> bool {
     else {
         return false;
     };
-    // This is the head of the handler in which the arm began to stop.
+    // This is the heading of the handler in which the arm began to stop.
     let head = |line| cell.lines().take(line).filter(|text: &&str| text.starts_with("  on ")).last();
     let by_itself = line_of(right.2).and_then(head).is_some_and(|head| head.contains("silence"));
     let lifts = of("armL").filter(|(_, _, what)| what.ends_with("ends start_lift")).count();
@@ -116,7 +116,7 @@ fn the_printed_run_is_a_run_of_today() {
     let gone_on = &["nothing passes", "reach each other again", "ends start_lift", "ends start_lift"];
     let dir = runtime_dir();
     let said = run_until(dir.path(), &["demo", "beam-lift", "--seed", "3"], one_after_the_other(gone_on));
-    // On a very late machine the second lift never began. The output says so, and a task may have given up.
+    // On a very late machine the second lift never begins. The output then says so, and a task may have given up.
     let never_came = said.out.contains("The fault never came");
     let gave_up = |line: &str| line.starts_with("imrs: task ") && line.contains(" aborted");
     let complaints: Vec<&str> = said.err.lines().filter(|line| !(never_came && gave_up(line))).collect();

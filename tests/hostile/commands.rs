@@ -12,7 +12,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
-/// A cell that is quickly checked and run.
+/// A cell that can be checked and run quickly.
 const CELL: &str =
     "cell c; tick 1 msec; node n; node m; link n -- m delay 1 msec; task t on n begin skip; end t;";
 
@@ -28,7 +28,7 @@ fn with(line: &[&str], last: impl Into<OsString>) -> Line {
     line
 }
 
-/// Special files and names to be used as arguments.
+/// Special files, and file names that are used as arguments.
 struct Files {
     /// A valid cell file.
     cell: String,
@@ -56,7 +56,7 @@ impl Files {
     }
 }
 
-/// Every kind of special file in every place where a verb takes a file.
+/// Command lines with every kind of special file in every place in which a verb takes a file.
 fn special_files(files: &Files) -> Vec<Line> {
     let cell = files.cell.as_str();
     let places: [&[&str]; 20] = [
@@ -113,7 +113,7 @@ const VALUES: [&str; 22] = [
     "\u{1b}[31m\u{9b}\u{202e}",
 ];
 
-/// Lines with every flag, each with these values. If a value may be valid, the verb ends by itself.
+/// Command lines with every flag, each with these values. If a value may be valid, the verb ends by itself.
 fn values(files: &Files) -> Vec<Line> {
     let cell = files.cell.as_str();
     let run = ["run", cell, "--for", "50ms"];
@@ -150,7 +150,7 @@ fn values(files: &Files) -> Vec<Line> {
     flags.iter().flat_map(of).collect()
 }
 
-/// Lines with mistakes that any verb must reject.
+/// Command lines with mistakes that any verb must reject.
 fn verbs(files: &Files) -> Vec<Line> {
     let cell = files.cell.as_str();
     let verbs: [&[&str]; 13] = [
@@ -210,7 +210,7 @@ fn verbs(files: &Files) -> Vec<Line> {
     all
 }
 
-/// Runs all lines, in one thread per core. Returns the faults.
+/// Runs all command lines, in one thread per core. Returns the faults that were found.
 fn tried(folder: &Path, lines: &[Line]) -> Vec<String> {
     let (next, faults) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     thread::scope(|scope| {
@@ -249,13 +249,13 @@ fn hostile_command_lines_end_with_a_documented_code_and_a_reason() {
     assert!(["/dev/zero", "/dev/full"].iter().all(|device| Path::new(device).exists()));
 }
 
-/// The command line in a shell with a resource limit.
+/// The command line, to be run by a shell with a resource limit.
 fn limited(folder: &Path, limit: &str, args: &[&str]) -> std::process::Command {
     let mut command = std::process::Command::new("bash");
     let line = format!("ulimit {limit}; exec \"$0\" \"$@\"");
     command.args(["-c", &line, env!("CARGO_BIN_EXE_imrs")]).args(args);
     command.env("XDG_RUNTIME_DIR", folder).env("XDG_STATE_HOME", folder.join("state"));
-    // A backtrace needs memory; without enough of it, the process would end in the middle of the backtrace.
+    // A backtrace needs memory; without enough memory, the process would end in the middle of the backtrace.
     command.env("RUST_BACKTRACE", "0");
     command
 }

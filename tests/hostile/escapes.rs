@@ -13,7 +13,7 @@ use std::path::Path;
 /// A text that ends a line, sets a title, clears the screen, and reverses the direction of writing.
 const HOSTILE: &str = "x\u{1b}]0;t\u{7}\u{1b}[2J\u{9b}2J\u{202e}y\u{7f}\u{85}\u{2028}";
 
-/// A cell with such texts in an abort, an address and an invalid statement.
+/// A cell with such a text in an abort, an address and an invalid statement.
 fn cell() -> String {
     format!(
         "cell c; tick 1 msec; node n at \"{HOSTILE}\" port 7001; node m; link n -- m delay 1 msec;
@@ -124,7 +124,7 @@ fn poison(value: &mut Value, text: &str) {
     }
 }
 
-/// A frame with hostile texts in it.
+/// The frame `shown` with hostile texts in it.
 fn poisoned(shown: Shown, text: &str) -> Shown {
     match shown {
         Shown::Attached { version, mut hello } => {

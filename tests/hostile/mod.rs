@@ -41,7 +41,7 @@ fn ended(mut command: Command) -> Said {
     Said { out: out.join().expect("read"), err: err.join().expect("read"), code }
 }
 
-/// Why the way in which a command ended is a defect, whatever its input was; none if it is no defect.
+/// Why the way in which a command ended is a defect, whatever the command's input was; `None` if it is no defect.
 fn fault_of(said: &Said) -> Option<String> {
     let Some(code) = said.code else { return Some("a signal ended it".into()) };
     let text = format!("{}\n{}", said.out, said.err);

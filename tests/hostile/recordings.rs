@@ -1,6 +1,6 @@
-//! Tests of recordings with correct checksums and hostile contents: tags, lengths, ids, times and states that no program
-//! wrote. A command must refuse each with an error, or judge it, and must not panic. `IMRS_HOSTILE_RECORDINGS` sets the
-//! number of recordings.
+//! Tests of recordings with correct checksums and hostile contents: tags, lengths, ids, times and states that no
+//! program wrote. A command must refuse each such recording with an error, or judge it, and must not panic.
+//! `IMRS_HOSTILE_RECORDINGS` sets the number of recordings.
 
 use super::{ended, fault_of};
 use crate::support::tape::Tape;
@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread;
 
-/// Real recordings of nodes and monitors.
+/// Genuine recordings of nodes and monitors.
 struct Originals {
     cell: String,
     nodes: Vec<(PathBuf, Tape)>,
@@ -62,7 +62,7 @@ fn checksum(bytes: &[u8]) -> u32 {
     CRC.checksum(bytes)
 }
 
-/// A recording of any contents, with correct lengths and checksums.
+/// A recording with any contents of its records, and correct lengths and checksums.
 fn sealed(contents: &[Vec<u8>]) -> Vec<u8> {
     let mut bytes = [&MAGIC[..], &VERSION.to_le_bytes(), &[0, 0]].concat();
     for contents in contents {
@@ -145,7 +145,7 @@ fn spoilt_inputs(of: &Originals, node: usize, random: &mut fastrand::Rng) -> Vec
     sealed(&contents)
 }
 
-/// Inserts a gap, followed by a state that no machine wrote.
+/// Inserts a gap, and after it a state that no machine wrote.
 fn spoil_state(
     of: &Originals,
     node: usize,
@@ -172,7 +172,7 @@ fn spoil_state(
     records.splice(at..at, [gap, Record::Keyframe { task, state, outputs: digest }]);
 }
 
-/// Makes packets claim more bytes than they have, or gives them bytes after their end.
+/// Makes packets claim more contents than they may have, or gives them bytes after the end of their contents.
 fn spoil_lengths(contents: &mut [Vec<u8>], records: &[Record], random: &mut fastrand::Rng) {
     for (record, bytes) in records.iter().zip(&mut contents[1..]) {
         let Record::Input { input: Input::Packet(_), outputs, .. } = record else { continue };

@@ -11,7 +11,7 @@ pub struct Recorded {
     pub folder: tempfile::TempDir,
     pub cell: String,
     pub nodes: &'static [&'static str],
-    /// The run's output.
+    /// The output of the run.
     pub said: String,
 }
 
@@ -115,8 +115,8 @@ pub fn code_of_checks(told: &Value) -> i32 {
     }
 }
 
-/// The answer about the path of a whole run. None if this machine was so late that the result is unknown. The times of a
-/// late node within one tick may be rounded in more ways than the replay tries, or than it has time for (D97).
+/// The answer about the path of a whole run. `None` if this machine was so late that the result is unknown: within one
+/// tick, the times of a late node may be rounded in more ways than the replay tries, or than it has time for (D97).
 pub fn path_of(run: &Recorded) -> Option<Value> {
     let said = run.follow(&run.files());
     let told = said.last_json();
@@ -133,7 +133,7 @@ pub fn path_of(run: &Recorded) -> Option<Value> {
     Some(is_path(&said))
 }
 
-/// The first event that no path explains: its node, its task, and the reason.
+/// The first event that no path explains: its node, its task, and the reason for which it is impossible.
 pub fn no_path(said: &Said) -> [String; 3] {
     assert_eq!(said.code, Some(1), "{said:?}");
     let told = said.last_json();

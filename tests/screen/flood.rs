@@ -1,4 +1,4 @@
-//! M2: keys must take effect at once, and events must appear soon after they happen, however many events a node reports.
+//! Goal M2: keys must take effect at once, and events must appear soon after they happen, however many events a node reports.
 
 use super::terminal::{Terminal, tmux_is_here};
 use crate::support::stub::{Stub, Tells};
@@ -13,12 +13,12 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How many events are reported per `EVERY`: this makes 50,000 a second.
+/// How many events the node reports in each interval `EVERY`. This makes 50,000 events a second.
 const EACH: u32 = 500;
 const EVERY: Duration = Duration::from_millis(10);
 /// The promised delay on a quiet machine; asserted if `IMRS_QUIET=1` says that this machine is quiet.
 const GOAL: Duration = Duration::from_millis(50);
-/// Most events that wait for a monitor that reads too slowly.
+/// The greatest number of events that wait for a monitor that reads too slowly.
 const MOST_WAITING: usize = 20_000;
 /// How many events are reported before the first key and after the last.
 const FLOOD: u32 = 10_000;
@@ -75,8 +75,8 @@ fn keys_are_seen_at_once_while_a_node_tells_fifty_thousand_events_a_second() {
                 }
                 let now = stub.mono_us();
                 stub.change(|tells| {
-                    // A real node keeps no more events either, if no monitor reads them for long: as many as fit into
-                    // one frame.
+                    // A real node keeps no more events either while no monitor reads them: as many as fit into one
+                    // frame.
                     if tells.events.len() < MOST_WAITING {
                         let first = number.fetch_add(EACH, Ordering::Relaxed);
                         tells.events.extend((first..first + EACH).map(|n| sent(now, n)));
@@ -91,7 +91,7 @@ fn keys_are_seen_at_once_while_a_node_tells_fifty_thousand_events_a_second() {
         let least = number.load(Ordering::Relaxed) + events;
         wait_until("more events are told", || number.load(Ordering::Relaxed) >= least);
     };
-    // Each key must take effect during the flood, so the flood goes on until it has.
+    // Each key must take effect during the flood of events, so the flood goes on until the key has taken effect.
     more(FLOOD);
     let flooded = pressed(&terminal);
     terminal.press(&["4"], "[4 Time]");
@@ -119,16 +119,17 @@ fn keys_are_seen_at_once_while_a_node_tells_fifty_thousand_events_a_second() {
     terminal.leave();
 }
 
-/// The promised load on a quiet machine, in percent of a core; asserted if `IMRS_QUIET=1` says that this machine is quiet.
+/// The promised load of an idle screen on a quiet machine, in percent of a core; asserted if `IMRS_QUIET=1` says that
+/// this machine is quiet.
 const IDLE_GOAL: f64 = 3.0;
-/// The limit on any machine, in percent of a core, because the cost of a frame depends on the machine. A loop without sleep
-/// takes several times as much.
+/// The limit of the load of an idle screen on any machine, in percent of a core. It is higher, because the cost of a
+/// frame depends on the machine. A loop without sleep takes several times as much.
 const IDLE_MOST: f64 = 25.0;
 /// The least time between two frames.
 const FRAME: Duration = Duration::from_millis(33);
 
-/// M7: an idle screen takes next to no processor time. On any machine it draws at most thirty frames a second: one for each
-/// state that a node reports.
+/// Goal M7: an idle screen takes next to no processor time. On any machine it draws at most thirty frames a second: one
+/// for each state that a node reports.
 #[test]
 fn an_idle_screen_costs_next_to_nothing() {
     if !tmux_is_here() {
@@ -141,7 +142,7 @@ fn an_idle_screen_costs_next_to_nothing() {
     terminal.type_monitor("", "");
     terminal.wait_for("the overview", |screen| screen.contains("armL"));
     let pid = terminal.monitor_pid();
-    // The clock is read first and last, so that the measured time covers all frames.
+    // The clock is read before the first and after the last of these values, so that the measured time covers all frames.
     let (begins, before, drawn) = (Instant::now(), worked(pid), writes(pid));
     thread::sleep(Duration::from_secs(3));
     let (worked, drawn) = (worked(pid) - before, writes(pid) - drawn);
@@ -152,7 +153,8 @@ fn an_idle_screen_costs_next_to_nothing() {
     );
     let goal = if is_quiet() { IDLE_GOAL } else { IDLE_MOST };
     assert!(part <= goal, "{part} % of a core");
-    // Each frame is one write. Credit for the node, clock requests and wake-ups of threads take at most as many again.
+    // Each frame is one write. Credit for the node, clock requests and wake-ups of threads take at most the same number
+    // of writes.
     let most = 2 * (1 + took.as_millis() / FRAME.as_millis());
     assert!(u128::from(drawn) <= most, "{drawn} writes in {took:?}");
     terminal.leave();
@@ -175,7 +177,7 @@ fn worked(pid: u32) -> Duration {
 
 /// The delays from a key to its effect on the screen, sorted.
 fn pressed(terminal: &Terminal) -> Vec<Duration> {
-    // If times are asserted, this takes enough samples for a 99th percentile.
+    // If times are asserted, the test takes enough samples for a 99th percentile.
     let mut times: Vec<Duration> = (0..if is_quiet() { 100 } else { 30 })
         .map(|turn| {
             let (key, title) = if turn % 2 == 0 { ("5", "[5 Timers]") } else { ("6", "[6 Events]") };

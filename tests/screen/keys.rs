@@ -1,4 +1,4 @@
-//! Tests of the monitor's keys, each in a run of its own.
+//! Tests of the monitor's keys, each in a run of the monitor of its own.
 
 use super::terminal::{Terminal, tmux_is_here, watched};
 use crate::support::live::Live;
@@ -62,12 +62,12 @@ fn a_filter_a_mark_a_pause_and_a_theme_are_seen() {
     terminal.leave();
 }
 
-/// The first clicks before any resize hit a tab, and a row.
+/// The first clicks, before any resize, hit a tab and a row.
 #[test]
 fn clicks_hit_what_the_terminal_shows() {
     let Some((_demo, terminal)) = watched("") else { return };
     let click = |line: usize, column: usize| {
-        // A press of the left button, as terminals report it; rows and columns count from one.
+        // A press of the left button, in the form in which terminals report it; rows and columns count from one.
         let press = format!("\u{1b}[<0;{};{}M", column + 1, line + 1);
         terminal.keys(&["-l", &press]);
     };
@@ -178,7 +178,7 @@ fn a_screen_is_written_as_text_and_a_recording_exported() {
         let said = run_in(demo.dir(), &["export", recorded, "--to", form, "--out", &out]);
         assert_eq!(said.code, Some(0), "{said:?}");
         let bytes = std::fs::read(&out).expect("the export");
-        // The amount of content varies. The tasks in it do not, because the test has waited for events of every node.
+        // How much content the file has varies. The tasks in it do not, because the test has waited for events of every node.
         let text = String::from_utf8_lossy(&bytes);
         assert!(bytes.starts_with(begin) && text.contains("armL"), "{form}: {text}");
     }

@@ -79,7 +79,7 @@ fn signals_a_resize_to_nothing_and_a_stop_leave_the_terminal_as_it_was() {
 #[test]
 fn a_key_that_comes_together_with_a_resize_is_taken() {
     let Some((_demo, terminal)) = watched("") else { return };
-    // On a busy machine the monitor reads its terminal late, when both the resize and the key are there.
+    // On a busy machine the monitor reads its terminal so late that the resize and the key are both there.
     let busy = Busy::new(6);
     for round in 0..40 {
         let (width, key, shows) = [("100", "3", "[3 Rdv]"), ("120", "1", "[1 Over]")][round % 2];
@@ -167,7 +167,7 @@ fn what_the_screen_records_is_replayed_in_the_terminal() {
     terminal.assert_restored();
     terminal.keys(&["clear", "Enter"]);
     terminal.type_monitor("", &format!("--replay {shown}"));
-    // Reads the position in the replay, and its length, from the screen.
+    // Reads from the screen the position in the replay, and the length of the recording.
     let position = |screen: &str| {
         let (_, rest) = screen.split_once("REPLAY ")?;
         let mut words = rest.split_whitespace();
@@ -187,7 +187,8 @@ fn what_the_screen_records_is_replayed_in_the_terminal() {
     look_until(demo.dir(), &[&recording[..], &["--for", "1s"]].concat(), "a node is seen", |said| {
         said.code == Some(0) && said.out.contains("monitor --replay")
     });
-    // Without `--for` the monitor records until it is interrupted: here, once the recording shows the hoist's node.
+    // Without `--for` the monitor records until it is interrupted. The test interrupts it once the recording shows the
+    // hoist's node.
     std::fs::remove_file(&headless).expect("a recording");
     let recorder = Program::start(imrs(demo.dir(), &recording));
     wait_until("the hoist is up in it", || run(&["monitor", "--replay", name]).out.contains("node nh: up"));

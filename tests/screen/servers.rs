@@ -10,7 +10,8 @@ use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
-/// Opens a socket at the place where a monitor looks for nodes. Threads serve it by `each`, and end with the test's process.
+/// Opens a socket at the place where a monitor looks for nodes. Threads serve it by calling `each`, and end with the
+/// test's process.
 fn listen(dir: &Path, node: &str, each: fn(UnixStream)) -> String {
     let folder = imrs_wire::obs::place::prepare_in(&dir.join("imrs"), "beam_lift", node, std::process::id());
     let path = folder.expect("a place for the socket");
@@ -35,7 +36,7 @@ fn drip(mut stream: UnixStream) {
     }
 }
 
-/// Sends a frame that is longer than allowed.
+/// Sends the length of a frame that is longer than allowed.
 fn endless(mut stream: UnixStream) {
     let _ = stream.write_all(&[0xff; 4]);
     while stream.write_all(&[0xff; 65536]).is_ok() {}
@@ -46,7 +47,7 @@ fn mute(mut stream: UnixStream) {
     let _ = stream.read_to_end(&mut Vec::new());
 }
 
-/// The name of a foreign server, and how it serves a monitor.
+/// The name of a foreign server, and the function that serves a monitor.
 type Stranger = (&'static str, fn(UnixStream));
 
 const STRANGERS: [Stranger; 4] = [("garbage", garbage), ("drip", drip), ("endless", endless), ("mute", mute)];
@@ -140,7 +141,7 @@ fn nothing_there_gives_the_terminal_back_and_says_what_to_do() {
     terminal.assert_restored();
 }
 
-/// M17: a first-time user can say which robot all others wait for. Nothing is left behind afterwards.
+/// Goal M17: a first-time user can say for which robot all others wait. No file or process is left behind afterwards.
 #[test]
 fn the_demonstration_names_who_is_awaited_and_leaves_nothing_behind() {
     if !tmux_is_here() {
@@ -153,7 +154,7 @@ fn the_demonstration_names_who_is_awaited_and_leaves_nothing_behind() {
     terminal
         .wait_for("who is awaited", |screen| screen.lines().any(|line| line.contains("BLOCKED BY hoist@")));
     println!("the awaited robot named after {:?}; goal 10 s", start.elapsed());
-    // Each screen has something to show.
+    // Each of these screens must show its part of the demo.
     for (key, shown) in [
         ("2", "since attached: service"),
         ("3", "GATHERING"),

@@ -9,13 +9,13 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Whether tmux is installed. Without it these tests print that they were skipped; if everything is required they fail.
+/// Whether tmux is installed. Without it these tests print that they were skipped; with `IMRS_REQUIRE_ALL=1` they fail.
 pub fn tmux_is_here() -> bool {
     let here = Command::new("tmux").arg("-V").output().is_ok_and(|output| output.status.success());
     is_here((!here).then_some("tmux"), "the monitor was NOT tested in a terminal")
 }
 
-/// Starts the steady cell, and a monitor of it in a terminal; none without tmux.
+/// Starts the steady cell, and a monitor of it in a terminal; `None` without tmux.
 pub fn watched(environment: &str) -> Option<(Live, Terminal)> {
     tmux_is_here().then(|| {
         let demo = Live::steady();
@@ -59,7 +59,7 @@ impl Terminal {
         self.tmux(&["capture-pane", "-p"])
     }
 
-    /// Whether anything on the screen is coloured.
+    /// Whether anything on the screen has a colour.
     pub fn has_colour(&self) -> bool {
         let styled = self.tmux(&["capture-pane", "-p", "-e"]);
         ["\u{1b}[31m", "\u{1b}[32m", "\u{1b}[33m", "[38;"].iter().any(|colour| styled.contains(colour))
@@ -102,8 +102,8 @@ impl Terminal {
         self.tmux(&["display-message", "-p", "#{alternate_on}"]).trim() == "1"
     }
 
-    /// Asserts that the shell has the terminal again: typed text is echoed and executed, even if the monitor still has
-    /// processes to stop.
+    /// Asserts that the shell has the terminal again: the shell echoes and executes typed text, even if the monitor
+    /// still has processes to stop.
     pub fn assert_restored(&self) {
         self.wait_for("the shell after the monitor", |_| !self.on_alternate_screen());
         assert_eq!(

@@ -1,4 +1,4 @@
-//! Helpers for running nodes, and for a monitor's view of them.
+//! Helpers that start nodes in processes of their own and watch them through a monitor.
 
 use super::program::Program;
 use super::{PATIENCE, example, imrs, is_alive, replays, runtime_dir};
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 use tempfile::TempDir;
 
-/// A node, as the launcher describes it.
+/// A running node, as the launcher describes it.
 #[derive(Clone, Debug)]
 pub struct Node {
     pub name: String,
@@ -23,15 +23,16 @@ pub struct Live {
     dir: PathBuf,
     /// The launcher, dropped before its folder is removed.
     program: Program,
-    /// The file of the recordings, and the cell file if one was given: the recordings are replayed when the nodes have ended.
+    /// The file name for the recordings, and the cell file if one was given. The recordings are replayed after the
+    /// nodes have ended.
     record: Option<(PathBuf, Option<String>)>,
     pub nodes: Vec<Node>,
     _own: Option<TempDir>,
 }
 
 impl Live {
-    /// Starts `imrs run` or `imrs demo` with these arguments and `--format json` in this runtime folder. Waits until the
-    /// nodes run.
+    /// Starts `imrs run` or `imrs demo` in this runtime folder, with these arguments and `--format json`. Waits until
+    /// the nodes run.
     pub fn start(dir: &Path, args: &[&str]) -> Self {
         let record = args.iter().position(|arg| *arg == "--record").map(|at| {
             let cell = (args[0] == "run").then(|| args[1].to_owned());
@@ -50,8 +51,8 @@ impl Live {
         Self { dir: dir.to_owned(), program, record, nodes, _own: None }
     }
 
-    /// Starts `imrs demo beam-lift` with these arguments in a folder of its own. The demo always records, so that its run
-    /// can be replayed.
+    /// Starts `imrs demo beam-lift` with these arguments in a runtime folder of its own. The demo is always recorded,
+    /// so that its run can be replayed.
     pub fn demo(args: &[&str]) -> Self {
         let dir = runtime_dir();
         let record = dir.path().join("own.imrs");
@@ -62,20 +63,20 @@ impl Live {
         Self { _own: Some(dir), ..live }
     }
 
-    /// Starts the cell of the demo in a folder of its own, so that it runs on ([`Self::steady_in`]).
+    /// Starts the demo's cell in a runtime folder of its own. Its tasks never give up, as [`Self::steady_in`] explains.
     pub fn steady() -> Self {
         Self::steady_with(&[])
     }
 
-    /// Like [`Self::steady`], with these arguments.
+    /// Does the same as [`Self::steady`], with these additional arguments.
     pub fn steady_with(args: &[&str]) -> Self {
         let dir = runtime_dir();
         let live = Self::steady_in(dir.path(), args);
         Self { _own: Some(dir), ..live }
     }
 
-    /// Starts the demo's cell with these arguments in this runtime folder. Its tasks never give up, however long a busy
-    /// machine or a dead node makes them wait at the rendezvous. The run is recorded.
+    /// Starts the demo's cell with these arguments in this runtime folder. The tasks never give up, even if a busy
+    /// machine or a dead node makes them wait long at the rendezvous. The run is recorded.
     pub fn steady_in(dir: &Path, args: &[&str]) -> Self {
         let (file, record) = (dir.join("beam_lift.cell"), dir.join("own.imrs"));
         let cell = std::fs::read_to_string(example("beam_lift.cell")).expect("an example");
@@ -95,7 +96,7 @@ impl Live {
         &self.dir
     }
 
-    /// The launcher's process.
+    /// The process id of the launcher.
     pub fn launcher(&self) -> u32 {
         self.program.pid()
     }
@@ -104,18 +105,18 @@ impl Live {
         self.nodes.iter().find(|node| node.name == name).expect("a node of the cell")
     }
 
-    /// The process of a node.
+    /// The process id of a node.
     pub fn pid(&self, node: &str) -> u32 {
         self.node(node).pid
     }
 
-    /// The address of a node.
+    /// The UDP address of a node.
     pub fn address(&self, node: &str) -> SocketAddr {
         self.node(node).address.expect("a node with a socket")
     }
 
-    /// Waits until `is_so` accepts a monitor's sample, or the run ends by itself. Returns the last sample; null if there was
-    /// none.
+    /// Waits until `is_so` accepts a monitor's sample, or the run ends by itself. Returns the last sample; `Null` if
+    /// there was none.
     pub fn until(&self, what: &str, mut is_so: impl FnMut(&Value) -> bool) -> Value {
         let (end, mut seen, mut last) = (Instant::now() + PATIENCE, Seen::by_monitor(&self.dir), Value::Null);
         loop {
@@ -123,7 +124,7 @@ impl Live {
             match seen.next() {
                 Some(sample) if is_so(&sample) => return sample,
                 Some(sample) => last = sample,
-                // A monitor ends once no node runs any more, some time before the launcher ends.
+                // A monitor ends when no node runs any more. The launcher ends some time later.
                 None => {}
             }
             if is_over {
@@ -133,12 +134,12 @@ impl Live {
         }
     }
 
-    /// Ends the run in order, as Ctrl-C does.
+    /// Ends the run in the normal way, with SIGINT, as Ctrl-C does.
     pub fn interrupt(&self) {
         self.program.interrupt();
     }
 
-    /// Waits for the end of the run. Returns the summary, the exit code, and the complaints.
+    /// Waits for the end of the run. Returns the run's summary, its exit code, and its complaints.
     pub fn finish(self) -> (Value, Option<i32>, String) {
         let said = self.program.finish();
         if let Some((file, cell)) = &self.record
@@ -150,14 +151,14 @@ impl Live {
     }
 }
 
-/// The samples of a monitor.
+/// The samples that a monitor prints.
 pub struct Seen {
     dir: PathBuf,
     monitor: Program,
 }
 
 impl Seen {
-    /// Monitors the nodes in this folder.
+    /// Starts a monitor of the nodes in this runtime folder.
     pub fn by_monitor(dir: &Path) -> Self {
         Self { dir: dir.to_owned(), monitor: Self::monitor(dir) }
     }
@@ -166,8 +167,8 @@ impl Seen {
         Program::start(imrs(dir, &["monitor", "--watch", "50ms", "--format", "json"]))
     }
 
-    /// The next sample. A monitor gives up after some seconds without a node. On a busy machine a node may appear later, so
-    /// this then starts another monitor.
+    /// The next sample. A monitor gives up if it finds no node for some seconds. On a busy machine a node may appear
+    /// later, so another monitor is then started.
     pub fn sample(&mut self) -> Value {
         let end = Instant::now() + PATIENCE;
         loop {
@@ -178,7 +179,7 @@ impl Seen {
         }
     }
 
-    /// The next sample; none if this monitor has ended. The caller then starts another one.
+    /// The next sample; `None` if this monitor has ended. The caller then starts another one.
     fn next(&mut self) -> Option<Value> {
         let sample = self.monitor.next_json();
         if sample.is_none() {
@@ -200,24 +201,24 @@ impl Seen {
     }
 }
 
-/// The first entry with this name; null if there is none.
+/// The first entry of a JSON array with this name; `Null` if there is none.
 pub fn named<'a>(all: &'a Value, name: &str) -> &'a Value {
     let mut all = all.as_array().into_iter().flatten();
     all.find(|one| one["name"] == name).unwrap_or(&Value::Null)
 }
 
-/// A task in a sample; null if it is not there.
+/// A task in a sample; `Null` if the sample does not contain it.
 pub fn task<'a>(sample: &'a Value, name: &str) -> &'a Value {
     let nodes = sample["nodes"].as_array().into_iter().flatten();
     nodes.map(|node| named(&node["tasks"], name)).find(|task| !task.is_null()).unwrap_or(&Value::Null)
 }
 
-/// A counter of a task's port in a sample; 0 if it is not there.
+/// A counter of a task's port in a sample; 0 if the sample does not contain it.
 pub fn figure(sample: &Value, at: &str, port: &str, name: &str) -> u64 {
     named(&task(sample, at)["ports"], port)[name].as_u64().unwrap_or(0)
 }
 
-/// The number of the last round of a waitfor that released this task, in a sample; 0 if none did.
+/// The number of the last waitfor round that released this task, according to a sample; 0 if no round did.
 pub fn released(sample: &Value, at: &str) -> u64 {
     task(sample, at)["waitfor"][0]["released"].as_u64().unwrap_or(0)
 }

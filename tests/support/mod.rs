@@ -1,4 +1,4 @@
-//! Helpers of the end-to-end tests: run the command with a time limit, in a runtime folder of its own.
+//! Helpers of the end-to-end tests, which run the `imrs` command with a time limit and in a runtime folder of its own.
 
 pub mod claims;
 pub mod live;
@@ -17,11 +17,11 @@ use std::thread;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// Time limit of every wait: no command takes this long, however busy the machine is.
+/// The time limit of every wait in the tests. No command takes this long, even on a very busy machine.
 pub const PATIENCE: Duration = Duration::from_secs(600);
 
-/// Whether a test has all programs that it needs. If one is missing, prints what is not tested, or fails if
-/// `IMRS_REQUIRE_ALL=1`.
+/// Whether a test has all programs that it needs: `missing` names one that is not installed. The function then prints
+/// what is not tested, or fails if `IMRS_REQUIRE_ALL=1` is set.
 pub fn is_here(missing: Option<&str>, not_done: &str) -> bool {
     let Some(missing) = missing else { return true };
     let required = std::env::var_os("IMRS_REQUIRE_ALL").is_some_and(|value| value == "1");
@@ -30,30 +30,30 @@ pub fn is_here(missing: Option<&str>, not_done: &str) -> bool {
     false
 }
 
-/// Whether `IMRS_QUIET=1` says that the machine is quiet. Times are then asserted, too.
+/// Whether `IMRS_QUIET=1` says that nothing else runs on this machine. The tests then also assert times.
 pub fn is_quiet() -> bool {
     std::env::var_os("IMRS_QUIET").is_some_and(|value| value == "1")
 }
 
-/// Skips an assertion because this machine was late, and prints why. Fails on a quiet machine, so that a defect that looks like
-/// lateness does not pass for ever.
+/// Skips an assertion because this machine was late, and prints the reason. Fails on a quiet machine. Otherwise a
+/// defect that looks like lateness would pass for ever.
 pub fn excused(why: &str) {
     assert!(!is_quiet(), "{why}, on a quiet machine");
     println!("this machine was late: {why}");
 }
 
-/// Number of attempts at a test that a late machine may spoil.
+/// How often a test that a late machine may spoil is attempted.
 pub const TIMES: usize = 5;
 
-/// Tries something that a late machine may spoil, up to `TIMES` times. If every attempt is spoilt, the test is excused.
+/// Attempts something that a late machine may spoil, up to `TIMES` times. If every attempt is spoilt, the test is excused.
 pub fn tried(why: &str, is_done: impl FnMut() -> bool) {
     if !std::iter::repeat_with(is_done).take(TIMES).any(|done| done) {
         excused(why);
     }
 }
 
-/// Repeats an attempt up to `TIMES` times, because a suspended process may spoil one. A suspension comes by chance
-/// only, so the test fails if every attempt is spoilt.
+/// Attempts something that a suspended process may spoil, up to `TIMES` times. Such a suspension is rare, so the test
+/// fails if every attempt is spoilt.
 pub fn tried_again(why: &str, mut is_done: impl FnMut() -> bool) {
     for _ in 0..TIMES {
         if is_done() {
@@ -64,28 +64,29 @@ pub fn tried_again(why: &str, mut is_done: impl FnMut() -> bool) {
     panic!("each time {why}");
 }
 
-/// Tries something with a fault soon after the start. If the machine is too slow for that, the next attempt has a later fault.
+/// Runs a test whose fault comes soon after the start. If the machine is too slow for that, the fault comes later in
+/// the next attempt.
 pub fn sooner_or_later(why: &str, is_done: impl FnMut(Duration) -> bool) {
     let mut faults = [3, 20, 100].map(Duration::from_secs).into_iter();
     assert!(faults.any(is_done), "{why}, though the fault came 100 s after the start");
 }
 
-/// Whether `IMRS_WHOLE=1` asks for bounds that take minutes instead of seconds.
+/// Whether `IMRS_WHOLE=1` asks for checks with bounds that take minutes instead of seconds.
 pub fn is_whole() -> bool {
     std::env::var_os("IMRS_WHOLE").is_some_and(|value| value == "1")
 }
 
-/// A number that an environment variable may override, for long runs.
+/// A bound of a test. An environment variable may override the usual number, for long runs.
 pub fn bound(variable: &str, usual: u64) -> u64 {
     std::env::var(variable).map_or(usual, |text| text.parse().unwrap_or_else(|e| panic!("{variable}: {e}")))
 }
 
-/// The path of an example.
+/// The path of a file in `examples/`.
 pub fn example(name: &str) -> String {
     format!("{}/examples/{name}", env!("CARGO_MANIFEST_DIR"))
 }
 
-/// The metadata of this workspace, from cargo.
+/// The metadata of this workspace, as `cargo metadata` prints it.
 pub fn metadata() -> Value {
     let output = Command::new(env!("CARGO"))
         .args(["metadata", "--format-version", "1", "--no-deps", "--offline"])
@@ -96,18 +97,18 @@ pub fn metadata() -> Value {
     serde_json::from_slice(&output.stdout).expect("JSON")
 }
 
-/// A loopback address with UDP ports that nothing else uses. The address is unique to this process, and the ports to this call.
-/// They lie below the kernel's ephemeral ports.
+/// A loopback address, and UDP ports on it that no other program or test uses. The address is unique to this process,
+/// and the ports to this call. They lie below the kernel's ephemeral ports.
 pub fn own_address<const N: usize>() -> (Ipv4Addr, [u16; N]) {
     static USED: AtomicU16 = AtomicU16::new(0);
     let [_, a, b, c] = std::process::id().to_be_bytes();
     let first = 20_000 + USED.fetch_add(u16::try_from(N).expect("a few"), Ordering::Relaxed);
-    // Other programs on this machine use addresses 127.0.x.y.
+    // Other programs on this machine use the addresses 127.0.x.y.
     let ports = std::array::from_fn(|i| first + u16::try_from(i).expect("a few"));
     (Ipv4Addr::new(127, 64 | a, b, c), ports)
 }
 
-/// Tests all cases at once, each in a thread of its own, because the tests wait more than they work.
+/// Tests all cases at once, each in a thread of its own: the tests mostly wait, and rarely need a processor.
 pub fn side_by_side<T: Send>(cases: impl IntoIterator<Item = T>, test: impl Fn(T) + Sync) {
     let test = &test;
     thread::scope(|scope| {
@@ -119,11 +120,11 @@ pub fn side_by_side<T: Send>(cases: impl IntoIterator<Item = T>, test: impl Fn(T
 
 /// A runtime folder for the nodes and monitors of one test.
 pub fn runtime_dir() -> TempDir {
-    // The folder is not in the build folder, because paths of Unix sockets must be short.
+    // The folder is not in cargo's build folder, because the paths of Unix sockets must be short.
     tempfile::Builder::new().prefix("imrs-test").tempdir().expect("a folder for temporary files")
 }
 
-/// The command under test.
+/// The `imrs` command under test, which runs in this folder with these arguments.
 pub fn imrs(dir: &Path, args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_imrs"));
     command.args(args).env("XDG_RUNTIME_DIR", dir).env("XDG_STATE_HOME", dir.join("state"));
@@ -140,8 +141,8 @@ pub struct Said {
     pub code: Option<i32>,
 }
 
-/// Whether a run ended well, or complained only of broken checks or missing evidence. This machine may have been later, or
-/// the fault larger, than the cell declares.
+/// Whether a run ended well, or complained only of broken checks or missing evidence. The machine may have been later,
+/// or the fault larger, than the cell file declares, and a check may then break.
 pub fn is_well(code: Option<i32>, errors: &str) -> bool {
     let starts = |words: &str| errors.lines().any(|line| line.starts_with(words));
     let (checks, incomplete) = ("imrs: check ", "imrs: incomplete: ");
@@ -155,7 +156,7 @@ pub fn is_well(code: Option<i32>, errors: &str) -> bool {
 }
 
 impl Said {
-    /// Whether the command ended well, apart from checks ([`is_well`]).
+    /// Whether the command ended well, apart from broken checks (see [`is_well`]).
     pub fn is_well(&self) -> bool {
         is_well(self.code, &self.err)
     }
@@ -167,19 +168,20 @@ impl Said {
     }
 }
 
-/// Runs a command to its end.
+/// Runs the command with these arguments to its end, in a runtime folder of its own.
 pub fn run(args: &[&str]) -> Said {
     let dir = runtime_dir();
     run_in(dir.path(), args)
 }
 
-/// Runs a command to its end, in this runtime folder. If it made recordings of nodes, they must replay.
+/// Runs the command with these arguments to its end, in this runtime folder. If the command recorded nodes, their
+/// recordings must replay.
 pub fn run_in(dir: &Path, args: &[&str]) -> Said {
     recorded(dir, args, finish(imrs(dir, args)))
 }
 
-/// Repeats a command that looks at nodes once, until `is_so` accepts its output. On a busy machine a node may be silent for
-/// longer than one look waits.
+/// Repeats a command that samples nodes only once, until `is_so` accepts its output. On a busy machine a node may be
+/// silent for longer than the command waits.
 pub fn look_until(dir: &Path, args: &[&str], what: &str, is_so: impl Fn(&Said) -> bool) -> Said {
     let mut said = run_in(dir, args);
     wait_until(what, || {
@@ -192,8 +194,8 @@ pub fn look_until(dir: &Path, args: &[&str], what: &str, is_so: impl Fn(&Said) -
     said
 }
 
-/// Runs a cell until `is_enough` accepts a line, or until the cell ends by itself. If it made recordings of nodes, they must
-/// replay.
+/// Runs a cell until `is_enough` accepts a line of its output, or until the cell ends by itself. If nodes were
+/// recorded, their recordings must replay.
 pub fn run_until(dir: &Path, args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
     let mut program = Program::start(imrs(dir, args));
     program.read_until(is_enough);
@@ -201,8 +203,8 @@ pub fn run_until(dir: &Path, args: &[&str], is_enough: impl FnMut(&str) -> bool)
     recorded(dir, args, program.finish())
 }
 
-/// Whether the recordings of a run show that this machine was later than the cell declares. The run may then fail without a
-/// defect.
+/// Whether the recordings of a run show that this machine was later than the cell file declares. The run may then fail
+/// although the program has no defect.
 pub fn was_late(dir: &Path, cell: &str, file: &Path, nodes: &[&str]) -> bool {
     let files: Vec<_> = nodes.iter().map(|node| file.with_extension(format!("{node}.imrs"))).collect();
     let files: Vec<&str> = files.iter().map(|file| file.to_str().expect("UTF-8")).collect();
@@ -226,8 +228,8 @@ fn recorded(dir: &Path, args: &[&str], said: Said) -> Said {
     said
 }
 
-/// Asserts that the recordings beside `file` replay bit by bit, and that every state in between is sound. The recording of a
-/// killed node is judged as far as it goes.
+/// Asserts that the recordings beside `file` replay with exactly the recorded outputs, and that no state in between
+/// breaks a law. The recording of a killed node is replayed as far as it goes.
 pub fn replays(dir: &Path, file: &Path, cell: Option<&str>) {
     let stem = file.file_stem().expect("a name").to_str().expect("UTF-8");
     let beside = file.parent().expect("a folder").read_dir().expect("the folder of the recordings");
@@ -245,12 +247,12 @@ pub fn replays(dir: &Path, file: &Path, cell: Option<&str>) {
     let said = finish(imrs(dir, &[&["replay"], &files[..], &cell[..], &["--format", "json"]].concat()));
     let answers = said.out.lines().map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
     let answers: Vec<Value> = answers.collect();
-    // The recording of a killed node has no end.
+    // The recording of a killed node has no end record.
     let incomplete = answers.iter().any(|answer| answer["complete"] == false);
     assert_eq!(said.code, Some(if incomplete { 5 } else { 0 }), "{said:?}");
     let tasks: Vec<Value> =
         answers.iter().flat_map(|answer| answer["tasks"].as_array().expect("tasks").clone()).collect();
-    // A slow disk may have lost inputs, which the recording reports. That is no fault of the state machine.
+    // A slow disk may have lost inputs, and the recording then says so. The state machine is not at fault.
     let judged = |task: &&Value| task["verdict"] == "same" || number(&task["lost"]) > 0;
     assert!(!tasks.is_empty() && tasks.iter().filter(judged).count() == tasks.len(), "{tasks:?}");
 }
@@ -264,8 +266,8 @@ pub fn finish(command: Command) -> Said {
     Program::start(command).finish()
 }
 
-/// Sends a signal to a process that this test started. After [`Signal::STOP`] it waits until the process stands still: the kernel
-/// stops one thread after the other, and until then the last of them may still act on what this test does next.
+/// Sends a signal to a process that this test started. After [`Signal::STOP`] this waits until all threads of the process are
+/// stopped. The kernel stops them one by one, and a thread that still runs could react to the next step of the test.
 pub fn signal(pid: u32, signal: Signal) {
     if let Some(target) = i32::try_from(pid).ok().and_then(Pid::from_raw) {
         // The process may already have exited.
@@ -282,7 +284,7 @@ fn threads_stand_still(pid: u32) -> bool {
     states.all(|stat| stat.rsplit_once(')').is_some_and(|(_, rest)| rest.trim_start().starts_with('T')))
 }
 
-/// Whether a process exists and is no zombie.
+/// Whether a process exists and is not a zombie.
 pub fn is_alive(pid: u32) -> bool {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
     stat.rsplit_once(')').is_some_and(|(_, rest)| !rest.trim_start().starts_with('Z'))

@@ -1,4 +1,4 @@
-//! A running command, whose output lines are read as they come.
+//! A running command, whose output is read line by line as it is printed.
 
 use super::{PATIENCE, Said, signal};
 use rustix::process::Signal;
@@ -9,11 +9,11 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::thread::{self, JoinHandle};
 use std::time::Instant;
 
-/// A running command. Dropping this kills it.
+/// A running command. Dropping this value kills the command.
 pub struct Program {
     child: Child,
     lines: Receiver<(Instant, String)>,
-    /// The lines that have been read so far.
+    /// The output lines that have been read so far.
     out: String,
     errors: Option<JoinHandle<String>>,
 }
@@ -42,7 +42,7 @@ impl Program {
         self.child.id()
     }
 
-    /// The next line, and when it came; none if the command has ended.
+    /// The next line of output, and when it was read; `None` if the command has ended.
     fn next(&mut self) -> Option<(Instant, String)> {
         match self.lines.recv_timeout(PATIENCE) {
             Ok((at, line)) => {
@@ -60,7 +60,7 @@ impl Program {
         }
     }
 
-    /// The next line, and when it came.
+    /// The next line of output, and when it was read.
     pub fn line(&mut self) -> (Instant, String) {
         if let Some(line) = self.next() {
             return line;
@@ -69,23 +69,23 @@ impl Program {
         panic!("it ended after {:?}: {errors:?}", self.out);
     }
 
-    /// The next line, as JSON.
+    /// The next line of output, parsed as JSON.
     pub fn json(&mut self) -> Value {
         self.json_at().1
     }
 
-    /// The next line, as JSON; none if the command has ended.
+    /// The next line of output, parsed as JSON; `None` if the command has ended.
     pub fn next_json(&mut self) -> Option<Value> {
         self.next().map(|(_, line)| parsed(&line))
     }
 
-    /// The next line, as JSON, and when it came.
+    /// The next line of output, parsed as JSON, and when it was read.
     pub fn json_at(&mut self) -> (Instant, Value) {
         let (at, line) = self.line();
         (at, parsed(&line))
     }
 
-    /// Reads lines until `is_enough` accepts one, or the command ends.
+    /// Reads lines of output until `is_enough` accepts one, or the command ends.
     pub fn read_until(&mut self, mut is_enough: impl FnMut(&str) -> bool) {
         let end = Instant::now() + PATIENCE;
         while let Some((_, line)) = self.next() {
@@ -96,12 +96,12 @@ impl Program {
         }
     }
 
-    /// Sends SIGINT, as Ctrl-C does: a run ends in order, with its summary.
+    /// Sends SIGINT, as Ctrl-C does. A run then ends in the normal way, and prints its summary.
     pub fn interrupt(&self) {
         signal(self.pid(), Signal::INT);
     }
 
-    /// Waits for the end of the command. Returns its whole output.
+    /// Waits for the end of the command. Returns everything that it printed, and its exit code.
     pub fn finish(mut self) -> Said {
         self.read_until(|_| false);
         let code = self.child.wait().expect("it ends").code();
@@ -120,7 +120,7 @@ impl Drop for Program {
     }
 }
 
-/// Returns a function that is true once lines with these words have come, in this order.
+/// Returns a function that is called with each line. It is true once lines with these words have come in this order.
 pub fn one_after_the_other(words: &'static [&'static str]) -> impl FnMut(&str) -> bool {
     let mut left = words;
     move |line| {
@@ -133,7 +133,7 @@ pub fn one_after_the_other(words: &'static [&'static str]) -> impl FnMut(&str) -
     }
 }
 
-/// Returns a function that is true once lines with each of these words have come, in any order.
+/// Returns a function that is called with each line. It is true once each of these words has come in some line.
 pub fn all_of(words: &'static [&'static str]) -> impl FnMut(&str) -> bool {
     let mut left = words.to_vec();
     move |line| {
@@ -142,7 +142,7 @@ pub fn all_of(words: &'static [&'static str]) -> impl FnMut(&str) -> bool {
     }
 }
 
-/// Returns a function that is true once so many lines with these words have come.
+/// Returns a function that is called with each line. It is true once `count` lines with these words have come.
 pub fn times(count: usize, words: &'static str) -> impl FnMut(&str) -> bool {
     let mut found = 0;
     move |line| {

@@ -1,4 +1,4 @@
-//! A stub node, which reports to monitors what a test wants them to see.
+//! A stub of a node. It reports to monitors what a test gives it.
 
 use imrs_wire::obs::{
     Events, FrameReader, FrameWriter, Handshake, Hello, MAX_REQUEST, NodeIdentity, Role, SCHEMA, ServerFrame,
@@ -10,27 +10,28 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// The interval between two states. Every `VITALS`-th time the stub also reports the vitals of its process.
+/// The interval between two reports of the state. With every `VITALS`-th report the stub also reports the vitals of its
+/// process.
 const PERIOD: Duration = Duration::from_millis(50);
 const VITALS: u32 = 10;
 
 /// What the stub reports.
 #[derive(Debug, Default)]
 pub struct Tells {
-    /// The state, without the clock.
+    /// The node's state, without the time.
     pub snapshot: Snapshot,
-    /// Events that are not reported yet.
+    /// The events that have not been reported yet.
     pub events: Vec<TimedEvent>,
-    /// The vitals of the stub's process, without the clock.
+    /// The vitals of the stub's process, without the time.
     pub vitals: Vitals,
 }
 
-/// When a periodic activity last happened, and when it was last late.
+/// Notes when a periodic activity last happened, and when it was last late.
 #[derive(Clone, Debug)]
 pub struct Beat(Arc<Mutex<(Instant, Option<Instant>)>>);
 
 impl Beat {
-    /// An activity is late if it last happened longer ago than this.
+    /// The activity is late if the time since it last happened is longer than this.
     const LATE: Duration = Duration::from_millis(500);
 
     fn start() -> Self {
@@ -45,23 +46,23 @@ impl Beat {
         beat.0 = now;
     }
 
-    /// Whether the activity is late, or was within this time.
+    /// Whether the activity is late now, or was late within this time.
     pub fn was_late(&self, within: Duration) -> bool {
         let (last, late) = *self.0.lock().expect("no panic before");
         last.elapsed() > Self::LATE || late.is_some_and(|late| late.elapsed() < within)
     }
 }
 
-/// A stub node, which listens until the test's process ends.
+/// A stub of a node. It accepts monitors until the test's process ends.
 pub struct Stub {
     tells: Arc<Mutex<Tells>>,
     since: Instant,
-    /// The timing of the stub's reports, which a busy machine may delay.
+    /// When the stub last reported. A busy machine may delay the reports.
     pub beat: Beat,
 }
 
 impl Stub {
-    /// Starts a stub in this runtime folder, at the place where monitors look for nodes.
+    /// Starts a stub whose socket is in this runtime folder, where monitors look for nodes.
     pub fn start(dir: &Path, identity: NodeIdentity, table: Table, tells: Tells) -> Self {
         let base = dir.join("imrs");
         let path = place::prepare_in(&base, &identity.cell, &identity.node, std::process::id());
@@ -79,12 +80,12 @@ impl Stub {
         stub
     }
 
-    /// Changes what the stub reports from now on.
+    /// Changes what the stub reports to monitors from now on.
     pub fn change(&self, change: impl FnOnce(&mut Tells)) {
         change(&mut self.tells.lock().expect("no panic before"));
     }
 
-    /// The stub's clock.
+    /// The present time on the stub's clock, in microseconds.
     pub fn mono_us(&self) -> u64 {
         mono_us(self.since)
     }
@@ -110,7 +111,7 @@ fn serve(
     writer.push_bytes(&Handshake::Hello(hello).encode(VERSION)).ok()?;
     writer.push(&ServerFrame::Table(table)).ok()?;
     writer.flush().ok()?;
-    // The requests of the monitor are read and ignored.
+    // The monitor's requests are read, but not carried out.
     thread::spawn(move || while reader.read_frame().is_ok() {});
     for round in 0.. {
         let mono_us = mono_us(since);

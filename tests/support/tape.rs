@@ -1,4 +1,4 @@
-//! Recordings of nodes and of monitors, in memory.
+//! Reads whole recordings of nodes and of monitors into memory.
 
 use imrs_wire::obs::ServerFrame;
 use imrs_wire::recording::{Header, Record, RecordingReader, RecordingWriter, Shown};
@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
-/// A recording in memory.
+/// A whole recording in memory.
 #[derive(Clone)]
 pub struct Tape {
     pub header: Header,
@@ -29,14 +29,15 @@ impl Tape {
     }
 }
 
-/// Whether a recording, which may still grow, has a record of a script.
+/// Whether a recording already contains a record of a script. The recording may still be written.
 pub fn has_begun(path: &Path) -> bool {
     let reader = File::open(path).ok().and_then(|file| RecordingReader::new(BufReader::new(file)).ok());
     let mut records = reader.into_iter().flatten().map_while(Result::ok);
     records.any(|record| matches!(record, Record::Script { .. }))
 }
 
-/// The frames of nodes in a monitor's recording, which may still grow: the source, the time in microseconds, and the frame.
+/// The nodes' frames in a monitor's recording, which may still be written. Each has its source, its time in
+/// microseconds, and its contents.
 pub fn frames(path: &Path) -> Vec<(u16, u64, ServerFrame)> {
     let reader = File::open(path).ok().and_then(|file| RecordingReader::new(BufReader::new(file)).ok());
     let records = reader.into_iter().flatten().map_while(Result::ok);
@@ -50,7 +51,7 @@ pub fn frames(path: &Path) -> Vec<(u16, u64, ServerFrame)> {
     records.filter_map(said).collect()
 }
 
-/// Copies the recording `from` to `to`, with a change.
+/// Copies the recording `from` to `to`, and applies `change` to the records of the copy.
 pub fn change(from: &Path, to: &Path, change: impl FnOnce(&mut Vec<Record>)) {
     let mut tape = Tape::read(from);
     change(&mut tape.records);

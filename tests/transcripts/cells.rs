@@ -1,4 +1,4 @@
-//! Reads a `cell` block: the declarations of Figures 1 and 2, one per line.
+//! Reads a `cell` block of a page. Each line is a declaration, as in Figures 1 and 2 of the paper.
 //!
 //! ```text
 //! node left, right
@@ -11,7 +11,7 @@ use super::tokens::Tokens;
 use imrs_protocol::rules::{Aging, Confirmation, Eviction, LeaseRule, Memory};
 use imrs_protocol::*;
 
-/// A cell, and the size of its nodes' transit buffers.
+/// The declared cell, and the size of its nodes' transit buffers.
 #[derive(Clone, Debug)]
 pub struct Declared {
     pub cell: Cell,
@@ -25,7 +25,7 @@ impl Default for Declared {
 }
 
 impl Declared {
-    /// Reads one line of declarations.
+    /// Reads one line of a `cell` block.
     pub fn line(&mut self, line: &str) -> Result<(), String> {
         let mut t = Tokens::new(line)?;
         if t.is_over() {
@@ -53,7 +53,7 @@ impl Declared {
         t.end()
     }
 
-    /// The table of the cell, or its faults.
+    /// The cell's table, or the faults for which the cell is rejected.
     pub fn table(&self) -> Result<CellTable, Vec<String>> {
         CellTable::new(self.cell.clone()).map_err(|faults| faults.iter().map(ToString::to_string).collect())
     }
@@ -169,8 +169,8 @@ impl Declared {
         Ok(())
     }
 
-    /// Reads a couple: `couple P -> S via alive, lease 20, takeover 40, every 5`. With `<->` the two tasks can exchange
-    /// their roles.
+    /// Reads the declaration of a couple: `couple P -> S via alive, lease 20, takeover 40, every 5`. With `<->` the two
+    /// tasks can exchange their roles.
     fn couple(&mut self, t: &mut Tokens) -> Result<(), String> {
         let primary = t.named("task", |name| task(&self.cell, name))?;
         let mutual = t.eat("<->");
@@ -200,7 +200,7 @@ impl Declared {
         Ok(())
     }
 
-    /// Reads a variant of the protocol's rules, which shows why the default is needed.
+    /// Reads a changed rule of the protocol. A page shows with such a rule why the default rule is needed.
     fn rule(&mut self, t: &mut Tokens) -> Result<(), String> {
         let rules = &mut self.cell.rules;
         let (rule, choice) = (t.word()?, t.word()?);
@@ -229,7 +229,7 @@ impl Declared {
     }
 }
 
-/// Any word that starts with a letter can be a name.
+/// Any word that starts with a letter can be the name of a new declaration.
 fn new_name(word: &str) -> Option<String> {
     word.starts_with(|c: char| c.is_ascii_alphabetic()).then(|| word.into())
 }

@@ -1,6 +1,6 @@
-//! Executes a transcript: runs the nodes of a cell in virtual time. A packet takes the bound of its link, unless a line says
-//! otherwise. It is charged its real delay, but at least the bound (D20). In each tick time passes first, then packets
-//! arrive.
+//! Executes a transcript: runs the nodes of a cell in virtual time. A packet takes its link's declared bound, unless a line of
+//! the transcript sets another delay. Its remaining time is reduced by its real delay, but at least by the bound (D20). In each
+//! tick time passes first, and then packets arrive.
 
 use super::cells::Declared;
 use super::look::{answer, look, whole};
@@ -9,14 +9,14 @@ use super::words::Names;
 use imrs_protocol::*;
 use std::sync::Arc;
 
-/// An event, and its time.
+/// An observed event, and the tick in which it was observed.
 #[derive(Clone, Debug)]
 pub struct Seen {
     pub at: u64,
     pub text: String,
 }
 
-/// A packet in flight.
+/// A packet that is under way on a link.
 #[derive(Clone, Copy, Debug)]
 struct Flight {
     left: u64,
@@ -34,14 +34,14 @@ enum Liveness {
     Down,
 }
 
-/// A class-2 message that a task has received.
+/// A class-2 message that a task has received and may answer.
 struct Got {
     task: TaskId,
     from: ReplyTo,
     answered: bool,
 }
 
-/// The links between the nodes, and the events that were seen.
+/// The links between the nodes, and the events that were observed.
 struct Between {
     table: Arc<CellTable>,
     now: u64,
@@ -71,7 +71,7 @@ impl Between {
         self.seen.push(Seen { at: self.now, text });
     }
 
-    /// The fault that hits a packet which leaves `node`, if any: the first line that still applies decides.
+    /// The fault for a packet that leaves `node`, if there is one. If several faults could apply, the first line decides.
     fn fate(&mut self, node: NodeId, packet: &Packet) -> Option<What> {
         let applies = |f: &&mut Fault| {
             f.count > 0
@@ -123,7 +123,7 @@ impl NodeOutbox for Wires<'_> {
     }
 
     fn signal(&mut self, task: TaskId, signal: Signal) {
-        // The text is filled in later, when the whole message can be read.
+        // The text is written later, when the whole message can be read.
         self.between.signals.push((task, signal, self.between.seen.len()));
         self.between.see(String::new());
     }
@@ -162,7 +162,7 @@ impl Drive {
         self.between.now
     }
 
-    /// Executes one step. Returns its events.
+    /// Executes one step of the transcript. Returns the events that it caused.
     pub fn step(&mut self, step: &Step) -> Result<Vec<Seen>, String> {
         match step {
             Step::After(ticks) => {
@@ -200,7 +200,7 @@ impl Drive {
         self.input_after(Ticks::ZERO, node, input)
     }
 
-    /// Lets time pass for a node.
+    /// Lets time pass at a node.
     fn pass(&mut self, node: NodeId, ticks: Ticks) -> Result<(), String> {
         self.input_after(ticks, node, NodeInput::Time)
     }
@@ -219,7 +219,7 @@ impl Drive {
         Ok(())
     }
 
-    /// Writes the text of a signal, and keeps a message that can be answered.
+    /// Writes the text of a signal. A message that can be answered is remembered for a later reply.
     fn tell(&mut self, node: NodeId, task: TaskId, signal: &Signal, place: usize) {
         let names = Names(&self.between.table);
         let Some(at) = self.nodes[node.index()].task(task) else { return };
@@ -258,7 +258,7 @@ impl Drive {
         Ok(())
     }
 
-    /// Starts the node's next incarnation. The other nodes notice at once, or not at all if `unnoticed`.
+    /// Starts the node's next incarnation. The other nodes notice the restart at once, or not at all if `unnoticed`.
     fn restart(&mut self, node: NodeId, unnoticed: bool) -> Result<(), String> {
         let (state, count) = &mut self.liveness[node.index()];
         (*state, *count) = (Liveness::Up, *count + 1);
@@ -273,7 +273,7 @@ impl Drive {
         Ok(())
     }
 
-    /// Resumes a suspended process: all the missed time passes at once, then its sockets are read.
+    /// Resumes a suspended process. All the time of the suspension passes at once, and then the node reads its sockets.
     fn go_on(&mut self, node: NodeId) -> Result<(), String> {
         let Liveness::Stopped(since) = self.liveness[node.index()].0 else {
             return Err("it does not stand still".into());
@@ -305,12 +305,12 @@ impl Drive {
         }
     }
 
-    /// Whether a request of this step was answered with a fault.
+    /// Whether a request in this step was answered with a fault.
     fn has_faults(&self) -> bool {
         self.between.seen.iter().any(|seen| seen.text.contains("<- fault"))
     }
 
-    /// The target of a send: all, one, or some of the tasks at the other end of the port.
+    /// The target of a send request: all tasks at the other end of the port, one, or some of them.
     fn target(&self, port: PortId, to: &[TaskId]) -> Result<Target, String> {
         let port = self.between.table.port(port).ok_or("no such port")?;
         Ok(match *to {
@@ -324,7 +324,7 @@ impl Drive {
         })
     }
 
-    /// The message that a reply answers: the latest unanswered one, or else the latest one.
+    /// The message that a reply answers: the latest message without an answer. If all are answered, it is the latest one.
     fn place_of(
         &self,
         receiver: TaskId,
@@ -342,7 +342,7 @@ impl Drive {
         open.map(|(place, _)| place).ok_or_else(|| "there is no such message to answer".into())
     }
 
-    /// Stages all fragments except the first, which it returns; none if a fragment was refused with a fault.
+    /// Stages all fragments of a message except the first. Returns the first; `None` if the task refused a fragment with a fault.
     fn parts(&mut self, task: TaskId, port: PortId, contents: &[u8]) -> Result<Option<Contents>, String> {
         let mut parts =
             contents.chunks(CONTENTS_BYTES).map(|part| Contents::new(part).expect("short enough"));
@@ -364,7 +364,7 @@ impl Drive {
         }
         let before = self.between.seen.len();
         self.input(node, NodeInput::Request(task, request))?;
-        // For these requests `accepted` is omitted, because no other answer is possible without a fault.
+        // The answer `accepted` to these requests is not shown, because without a fault no other answer is possible.
         let quiet = matches!(
             request,
             Request::Part { .. }

@@ -1,10 +1,10 @@
-//! Reads the state that a step of a transcript shows.
+//! Reads the part of the state that a step of a transcript shows.
 
 use super::steps::Look;
 use super::words::{Names, text};
 use imrs_protocol::*;
 
-/// The text that shows this part of the state.
+/// Writes this part of the state as text.
 pub fn look(look: Look, nodes: &[Node], table: &CellTable) -> Result<String, String> {
     let names = Names(table);
     let of = |task: TaskId| {
@@ -28,7 +28,7 @@ pub fn look(look: Look, nodes: &[Node], table: &CellTable) -> Result<String, Str
     })
 }
 
-/// The whole message that a signal delivered.
+/// All contents of the message that a signal delivered.
 pub fn whole(task: &CommTask, signal: &Signal) -> Vec<u8> {
     match signal {
         Signal::Message(d) | Signal::Interrupt(Call::Message(d)) => {
@@ -39,7 +39,7 @@ pub fn whole(task: &CommTask, signal: &Signal) -> Vec<u8> {
     }
 }
 
-/// The answer of the task `of` to the last request on the port.
+/// The answer of the task `of` to the last request that was sent through the port.
 pub fn answer(task: &CommTask, port: PortId, of: TaskId) -> Option<Vec<u8>> {
     let parts = (0..16).map_while(|i| task.answer_fragment(port, of, i));
     let said: Vec<&Contents> = parts.collect();

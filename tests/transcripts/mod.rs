@@ -1,5 +1,5 @@
-//! Executes the pages of `specs/protocol`: the rules that a user of the protocol can see, each with a transcript.
-//! `IMRS_BLESS=1` writes the observed events into the pages.
+//! Executes the pages of `specs/protocol`. Each page has the rules that a user of the protocol can observe, and a
+//! transcript that shows each rule. `IMRS_BLESS=1` writes the observed events into the pages.
 
 mod cells;
 mod drive;
@@ -60,7 +60,8 @@ fn every_page_is_carried_out() {
     }
 }
 
-/// The runner reports each fault of a page with its place, and accepts a page that it has blessed.
+/// The runner reports each fault of a page with its line, and accepts a page after it has written the observed events
+/// into it.
 #[test]
 fn a_page_that_is_wrong_says_where() {
     let page = "# T\n```cell\nnode n\ntask A, B on n\nport p: A sends to B, time_out 9, colour red\n```\n\

@@ -1,31 +1,31 @@
-//! Runs a page of executable rules. A page has prose and three kinds of blocks. A `cell` block declares the cell of the
-//! following blocks. A `wrong` block is a cell, followed by its faults. A `transcript` block starts with fresh nodes; below
-//! each of its steps stand the events that were seen.
+//! Runs a page of executable rules. A page has prose and three kinds of blocks. A `cell` block declares the cell for
+//! the blocks after it. A `wrong` block is a cell that is rejected, followed by its faults. A `transcript` block starts
+//! with fresh nodes; below each of its steps stand the events that were observed.
 
 use super::cells::Declared;
 use super::drive::{Drive, Seen};
 use super::steps;
 use std::fmt::Write;
 
-/// The result of one page.
+/// The result of running one page.
 #[derive(Default)]
 pub struct Report {
-    /// The page with the events that were really seen.
+    /// The page, with the events that were observed in this run.
     pub blessed: String,
     pub faults: Vec<String>,
-    /// How many transcripts and wrong cells the page has.
+    /// How many transcripts and rejected cells the page has.
     pub shown: usize,
 }
 
-/// One step of a transcript, and the lines below it.
+/// One step of a transcript, and the lines of the page below it.
 struct Entry<'a> {
     number: usize,
     line: &'a str,
-    /// The lines up to the next step: expected events, remarks and empty lines.
+    /// The lines below the step, up to the next one: expected events, remarks and empty lines.
     below: Vec<(usize, &'a str)>,
 }
 
-/// Runs a page. `name` is the name of the page in its faults.
+/// Runs a page. The faults that are reported start with `name`, the name of the page.
 pub fn run(name: &str, page: &str) -> Report {
     let mut report = Report::default();
     let mut declared = Declared::default();
@@ -129,19 +129,20 @@ fn carry_out(
     compare(&format!("{name}:{}: after `{}`", entry.number, plain(entry.line)), &expected, &found, report);
     let indent = entry.line.len() - entry.line.trim_start().len() + 4;
     for text in &found {
-        // A line that is still correct keeps its remark.
+        // A line that is still correct keeps the remark at its end.
         let kept = entry.below.iter().find(|(_, line)| plain(line) == *text);
         report.line(&kept.map_or_else(|| format!("{:indent$}{text}", ""), |(_, line)| (*line).into()));
     }
     Ok(())
 }
 
-/// An event of a step as text; `+3` if it came three ticks after the step began, and not at its end.
+/// An observed event as text. It starts with `+3` if the event came three ticks after the step began. An event in the
+/// last tick of the step has no such prefix.
 fn words(seen: &Seen, begin: u64, end: u64) -> String {
     if seen.at == end { seen.text.clone() } else { format!("+{} {}", seen.at - begin, seen.text) }
 }
 
-/// Whether a line of a transcript is an event.
+/// Whether a line of a transcript is an expected event.
 fn is_seen(line: &str) -> bool {
     let mut words = line.split_whitespace().skip_while(|word| word.starts_with('+'));
     let first = words.next().unwrap_or("");
@@ -149,7 +150,7 @@ fn is_seen(line: &str) -> bool {
     first == "|" || ["<-", "drops", "holds", "rejects", "=>"].contains(&second)
 }
 
-/// A line without its remark and superfluous spaces.
+/// A line without its remark, and with single spaces between words.
 fn plain(line: &str) -> String {
     let mut in_text = false;
     let mut plain = String::new();

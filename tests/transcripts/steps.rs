@@ -1,4 +1,4 @@
-//! Reads the steps of a `transcript` block. The expected events below each step are compared as text.
+//! Reads the steps of a `transcript` block. The expected events below a step are not parsed, but compared as text.
 
 use super::cells::{node, port, task};
 use super::tokens::Tokens;
@@ -7,23 +7,23 @@ use imrs_protocol::*;
 /// One step of a transcript.
 #[derive(Clone, Debug)]
 pub enum Step {
-    /// Lets so many ticks pass.
+    /// Lets this many ticks pass.
     After(u64),
-    /// Whether packets that leave a node are shown from now on.
+    /// Whether the transcript shows packets that leave a node, from now on.
     Show(bool),
-    /// A fault for packets that leave a node later.
+    /// A fault for packets that leave a node after this step.
     Next(Fault),
-    /// Removes the faults of packets from one task to another.
+    /// Removes the faults for packets from the first task to the second one.
     Mend(TaskId, TaskId),
     Crash(NodeId),
     Restart {
         node: NodeId,
         unnoticed: bool,
     },
-    /// Suspends the process of a node, and resumes it.
+    /// `Stop` suspends the process of a node, and `Continue` resumes it.
     Stop(NodeId),
     Continue(NodeId),
-    /// Whether the link from one node to another is busy and accepts no packets.
+    /// Whether the link from the first node to the second one is busy, so that it accepts no packets.
     Busy(NodeId, NodeId, bool),
     /// Shows a part of the state.
     Look(Look),
@@ -41,7 +41,7 @@ pub enum Look {
     Answer(PortId, TaskId, TaskId),
 }
 
-/// A request of a task. Fragments and the address of an answer are determined when the step is executed.
+/// A request of a task. The fragments and the address of an answer are determined when the step is executed.
 #[derive(Clone, Debug)]
 pub enum Ask {
     Plain(Request),
@@ -49,15 +49,15 @@ pub enum Ask {
     Reply { through: Option<PortId>, to: Option<TaskId>, of: Option<TaskId>, contents: Vec<u8> },
 }
 
-/// A fault that hits the next packets of a kind.
+/// A fault for the next packets of a kind.
 #[derive(Clone, Debug)]
 pub struct Fault {
-    /// How many packets the fault hits; `u32::MAX` for all.
+    /// How many packets the fault affects; `u32::MAX` stands for all.
     pub count: u32,
     pub kind: Option<Kind>,
     pub source: TaskId,
     pub destination: TaskId,
-    /// If set, the fault hits only packets that leave this node.
+    /// If this is set, the fault affects only packets that leave this node.
     pub at: Option<NodeId>,
     pub what: What,
 }
@@ -65,9 +65,9 @@ pub struct Fault {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum What {
     Lost,
-    /// A second copy arrives so many ticks after the first.
+    /// A second copy of the packet arrives this many ticks after the first.
     Twice(u64),
-    /// The packet takes so many ticks.
+    /// The packet is under way for this many ticks.
     Takes(u64),
 }
 

@@ -1,6 +1,6 @@
 //! Splits a line of a page into words.
 
-/// A word, a quoted text, or one of the signs `:` and `,`.
+/// A word, a quoted text, or one of the characters `:` and `,`.
 #[derive(Clone, Debug, PartialEq)]
 enum Token {
     Word(String),
@@ -14,7 +14,7 @@ pub struct Tokens {
 }
 
 impl Tokens {
-    /// Splits `line`; the rest after a `#` is a remark.
+    /// Splits `line` into tokens. The text after a `#` is a remark, and is left out.
     pub fn new(line: &str) -> Result<Self, String> {
         let mut tokens = Vec::new();
         let mut rest = line.trim_start();
@@ -46,14 +46,14 @@ impl Tokens {
         self.at == self.tokens.len()
     }
 
-    /// Consumes the next word if it is `wanted`.
+    /// Consumes the next word if it equals `wanted`.
     pub fn eat(&mut self, wanted: &str) -> bool {
         let found = matches!(self.tokens.get(self.at), Some(Token::Word(word)) if word == wanted);
         self.at += usize::from(found);
         found
     }
 
-    /// Consumes the next word, which must be `wanted`.
+    /// Consumes the next word, and fails if it does not equal `wanted`.
     pub fn must(&mut self, wanted: &str) -> Result<(), String> {
         if self.eat(wanted) { Ok(()) } else { Err(format!("expected `{wanted}`, found {}", self.found())) }
     }
@@ -71,7 +71,7 @@ impl Tokens {
         self.word()?.parse().map_err(|_| format!("expected a number, found {found}"))
     }
 
-    /// The next word, if it is a number.
+    /// Consumes the next word if it is a number.
     pub fn maybe_number(&mut self) -> Option<u32> {
         let Some(Token::Word(word)) = self.tokens.get(self.at) else { return None };
         let number = word.parse().ok()?;
@@ -79,14 +79,14 @@ impl Tokens {
         Some(number)
     }
 
-    /// Consumes a quoted text; empty if there is none.
+    /// Consumes a quoted text. Returns an empty one if the next token is something else.
     pub fn text(&mut self) -> Vec<u8> {
         let Some(Token::Text(text)) = self.tokens.get(self.at) else { return Vec::new() };
         self.at += 1;
         text.clone()
     }
 
-    /// Looks the next word up, and consumes it only if it is found.
+    /// Consumes the next word if `look_up` finds it.
     pub fn maybe<T>(&mut self, look_up: impl FnOnce(&str) -> Option<T>) -> Option<T> {
         let Some(Token::Word(word)) = self.tokens.get(self.at) else { return None };
         let found = look_up(word)?;
@@ -94,13 +94,13 @@ impl Tokens {
         Some(found)
     }
 
-    /// Looks the next word up as a `what`.
+    /// Consumes the next word, which must be the name of a `what` that `look_up` finds.
     pub fn named<T>(&mut self, what: &str, look_up: impl FnOnce(&str) -> Option<T>) -> Result<T, String> {
         let found = self.found();
         self.maybe(look_up).ok_or_else(|| format!("expected a {what}, found {found}"))
     }
 
-    /// A list of names, with commas or `and` between them.
+    /// Consumes a list of names, with commas or `and` between them.
     pub fn list<T>(&mut self, what: &str, look_up: impl Fn(&str) -> Option<T>) -> Result<Vec<T>, String> {
         let mut found = vec![self.named(what, &look_up)?];
         loop {
@@ -109,7 +109,7 @@ impl Tokens {
                 return Ok(found);
             }
             let Some(next) = self.maybe(&look_up) else {
-                // The comma belongs to the words behind the list.
+                // The comma is not part of the list, but belongs to the words after it.
                 self.at = before;
                 return Ok(found);
             };
@@ -117,12 +117,12 @@ impl Tokens {
         }
     }
 
-    /// Fails if the line has further tokens.
+    /// Fails if tokens of the line have not been consumed.
     pub fn end(&self) -> Result<(), String> {
         if self.is_over() { Ok(()) } else { Err(format!("{} is one word too many", self.found())) }
     }
 
-    /// The next word, quoted for a message.
+    /// The next token in quotes, for an error message.
     pub fn found(&self) -> String {
         match self.tokens.get(self.at) {
             Some(Token::Word(word)) => format!("`{word}`"),

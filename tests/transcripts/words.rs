@@ -1,13 +1,13 @@
-//! Texts for events, and for parts of the state.
+//! Writes events, and parts of the state, as text.
 
 use imrs_protocol::*;
 
-/// Contents as a transcript writes them.
+/// The contents of a message, as a transcript writes them.
 pub fn text(bytes: &[u8]) -> String {
     format!("\"{}\"", bytes.escape_ascii().to_string().replace("\\'", "'"))
 }
 
-/// Writes texts with the names of a cell.
+/// Writes texts in which the tasks, nodes and ports have their names in the cell.
 pub struct Names<'a>(pub &'a CellTable);
 
 impl Names<'_> {
@@ -23,7 +23,7 @@ impl Names<'_> {
         self.0.cell().ports.get(port.index()).map_or("no port", |port| &port.name)
     }
 
-    /// A packet that leaves a node: `ARRIVE X to Y on lift round 1, 40 left`.
+    /// A packet that leaves a node, such as `ARRIVE X to Y on lift round 1, 40 left`.
     pub fn packet(&self, p: &Packet) -> String {
         let meeting = p.meeting();
         let what = match p.kind {
@@ -39,7 +39,8 @@ impl Names<'_> {
         format!("{word} {from} to {to} on {port} {what}{part}, {} left{again}", p.remaining)
     }
 
-    /// A signal to a task. `whole` is the whole message that it delivers; `answer` reads the answer of a task.
+    /// A signal to a task, as text. `whole` is the whole message that the signal delivers. `answer` reads the answer of
+    /// a task.
     pub fn signal(
         &self,
         signal: &Signal,
@@ -82,7 +83,7 @@ impl Names<'_> {
         }
     }
 
-    /// The outcomes of the members of a set.
+    /// The outcome of each member of a set of receivers, as text.
     fn answers(
         &self,
         port: PortId,
@@ -105,7 +106,7 @@ impl Names<'_> {
         format!("answers: {}", said.collect::<Vec<_>>().join(", "))
     }
 
-    /// The tasks of a bit mask, owner first.
+    /// The tasks whose bits are set in a bit mask, with the owner of the port first.
     fn parties(&self, port: PortId, bits: u64) -> String {
         let Some(port) = self.0.port(port) else { return "nobody".into() };
         let named = port.parties.iter().enumerate().filter(|(i, _)| bits >> i & 1 == 1);
@@ -113,7 +114,7 @@ impl Names<'_> {
         if names.is_empty() { "nobody".into() } else { names.join(" and ") }
     }
 
-    /// The text of an observation, if transcripts show this kind.
+    /// An observation as text; `None` if transcripts do not show observations of its kind.
     pub fn observation(&self, node: NodeId, at: Option<TaskId>, o: &Observation) -> Option<String> {
         let who = at.map_or_else(|| self.node(node), |task| self.task(task));
         match o.event {
@@ -128,7 +129,7 @@ impl Names<'_> {
         }
     }
 
-    /// The state of a task.
+    /// The state of a task as text.
     pub fn state(&self, state: &TaskState) -> String {
         match *state {
             TaskState::Running => "runs".into(),
@@ -146,14 +147,14 @@ impl Names<'_> {
         }
     }
 
-    /// The waiting messages of a port, in the order of service.
+    /// The messages that wait in the queue of a port, in the order in which they are served.
     pub fn queue(&self, view: &PortView) -> String {
         let entry = |e: &QueueEntry| format!("{} with {} left", self.task(e.source), e.remaining);
         let entries: Vec<String> = view.queue.iter().map(entry).collect();
         if entries.is_empty() { "nothing waits".into() } else { entries.join(", then ") }
     }
 
-    /// The counters of a port that are not zero.
+    /// The counters of a port that are not zero, as text.
     pub fn counters(&self, c: &PortCounters) -> String {
         let all = [
             (c.sent, "sent"),
@@ -173,7 +174,7 @@ impl Names<'_> {
         if some.is_empty() { "nothing counted".into() } else { some.join(", ") }
     }
 
-    /// The packets that wait in a node, in the order in which they will leave.
+    /// The packets that wait in a node's transit buffer, in the order in which they leave it.
     pub fn transit(&self, waiting: &[Packet]) -> String {
         let all: Vec<String> = waiting.iter().map(|p| self.packet(p)).collect();
         if all.is_empty() { "nothing waits".into() } else { all.join(", then ") }

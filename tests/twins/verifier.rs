@@ -1,5 +1,5 @@
-//! Builds verifiers of the Promela models, each once. SPIN and the C compiler take much longer than most verifiers run, so
-//! the built programs stay in cargo's target folder. Each call runs a verifier again.
+//! Builds the verifiers of the Promela models with SPIN and the C compiler. That takes much longer than running most of
+//! them, so the built programs stay in cargo's target folder, and each is built once. Each call runs a verifier again.
 
 use super::spin;
 use std::fs;
@@ -9,16 +9,17 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::LazyLock;
 
-/// The folder that keeps the verifiers between test runs.
+/// The folder that keeps the built verifiers between test runs.
 const BUILT: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/twins");
 
-/// The default compiler flags. Most verifiers explore so little that optimising them takes longer than it saves.
+/// The compiler flags for most verifiers. They explore so few states that optimising would take longer than it saves.
 const QUICKLY_BUILT: &[&str] = &["-O0"];
 
-/// The flags for a verifier that explores a million states.
+/// The compiler flags for a verifier that explores a million states.
 pub const OPTIMISED: &[&str] = &["-O2"];
 
-/// The versions of SPIN and the C compiler, and how they are called. If any changes, verifiers are built again.
+/// The versions of SPIN and the C compiler, and the arguments with which they are called. If any of these changes, the
+/// verifiers are built again.
 static TOOLS: LazyLock<String> = LazyLock::new(|| {
     let version = |program: &str, flag: &str| {
         let output = Command::new(program).arg(flag).output().expect("it was found to be here");
@@ -30,7 +31,7 @@ static TOOLS: LazyLock<String> = LazyLock::new(|| {
     [&compiler, &compilers, &spins, starts].join("\n")
 });
 
-/// A Promela model with definitions, and how its verifier is compiled.
+/// A Promela model with its definitions, and the flags with which its verifier is compiled.
 pub struct Twin<'a> {
     model: &'a str,
     definitions: &'a [&'a str],
@@ -38,23 +39,23 @@ pub struct Twin<'a> {
 }
 
 impl<'a> Twin<'a> {
-    /// The twin for a model of `specs/promela`; each of `definitions` is `NAME` or `NAME=value`.
+    /// The twin for a model file in `specs/promela`. Each of the `definitions` is `NAME` or `NAME=value`.
     pub const fn new(model: &'a str, definitions: &'a [&'a str]) -> Self {
         Self { model, definitions, flags: QUICKLY_BUILT }
     }
 
-    /// The same twin, compiled with these flags.
+    /// The same twin, whose verifier is compiled with these flags.
     pub const fn compiled(self, flags: &'static [&'static str]) -> Self {
         Self { flags, ..self }
     }
 
-    /// The verdict of the twin's verifier, which explores the whole model on each call.
+    /// Runs the verifier, which explores the whole model. Returns its verdict.
     pub fn verdict(&self) -> spin::Verdict {
         let folder = tempfile::tempdir().expect("a folder for temporary files");
         spin::Verifier::at(self.verifier()).run_in(folder.path(), &["-w20"])
     }
 
-    /// The path of the twin's verifier, which is built if it does not exist.
+    /// The path of the twin's verifier. The verifier is built if it does not exist.
     fn verifier(&self) -> PathBuf {
         let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("specs/promela").join(self.model);
         let text = fs::read_to_string(&model).unwrap_or_else(|e| panic!("{}: {e}", model.display()));
@@ -73,15 +74,15 @@ impl<'a> Twin<'a> {
         let new = tempfile::tempdir_in(BUILT).expect("a folder beside the verifiers");
         let definitions: Vec<String> = self.definitions.iter().map(|&definition| definition.into()).collect();
         let pan = spin::build(new.path(), model, &definitions, self.flags);
-        // The folder gets its name only when it is complete, so an aborted test leaves no half-built verifier that
-        // another test would run.
+        // The folder gets its final name only when it is complete. An aborted test therefore leaves no incomplete
+        // verifier that another test would run.
         let whole = new.path().join("whole");
         fs::create_dir(&whole).expect("a folder");
         fs::rename(pan.path(), whole.join("pan")).expect("the verifier is moved");
         fs::write(whole.join("made_of"), made_of).expect("written");
         match fs::rename(&whole, folder) {
             Ok(()) => {}
-            // Another test has built the same verifier in the meantime.
+            // Another test program has built the same verifier in the meantime.
             Err(e) if e.kind() == ErrorKind::DirectoryNotEmpty && is_built(folder, made_of) => {}
             Err(e) => panic!("{}: {e}: remove this folder", folder.display()),
         }

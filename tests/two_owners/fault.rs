@@ -1,4 +1,4 @@
-//! The faults of a trial: what happens to the acting node, to the guard of its command, and to the command itself.
+//! The faults of a trial: what happens to the node whose task acts, to the guard of its command, and to the command itself.
 
 use super::freezer::Freezer;
 use crate::support::{is_alive, signal};
@@ -7,19 +7,19 @@ use rustix::process::Signal;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fate {
     Spared,
-    /// The process is stopped for a while.
+    /// The process is stopped, and later resumed.
     Held,
     Killed,
 }
 
-/// How processes are stopped.
+/// How the processes of a fault are stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Means {
     Signal,
     Freezer,
 }
 
-/// A fault of the acting node.
+/// A fault of the node whose task acts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fault {
     pub name: &'static str,
@@ -33,11 +33,11 @@ const fn fault(name: &'static str, [node, guard, tool]: [Fate; 3], means: Means)
     Fault { name, node, guard, tool, means }
 }
 
-/// The fault in which only the node is stopped. The first defect of this kind showed with this fault.
+/// The fault in which only the node is stopped. This fault revealed the first defect with two owners.
 pub const NODE_STOPPED: Fault =
     fault("node stopped", [Fate::Held, Fate::Spared, Fate::Spared], Means::Signal);
 
-/// All faults. A stopped guard cannot kill its command.
+/// All faults of the trials. A stopped guard cannot kill its command.
 pub const FAULTS: [Fault; 11] = {
     use Fate::{Held, Killed, Spared};
     use Means::{Freezer, Signal};
@@ -52,13 +52,13 @@ pub const FAULTS: [Fault; 11] = {
         fault("node killed, command stopped", [Killed, Spared, Held], Signal),
         fault("node killed, guard and command frozen", [Killed, Held, Held], Freezer),
         fault("guard stopped", [Spared, Held, Spared], Signal),
-        // The kernel ends the stopped guard: a stopped process group without a parent in its session gets SIGHUP.
+        // Here the kernel ends the stopped guard: it sends SIGHUP to a stopped process group without a parent in its session.
         fault("node killed, guard stopped", [Killed, Held, Spared], Signal),
     ]
 };
 
 impl Fault {
-    /// Whether the command goes on without anything to kill it, although its task must lose the lease.
+    /// Whether after this fault no process is left to kill the command, although the command's task must lose the lease.
     pub fn lets_the_command_go_on(&self) -> bool {
         let ends_the_guard = self.node == Fate::Killed && self.means == Means::Signal;
         (self.guard, self.tool) == (Fate::Held, Fate::Spared) && self.node != Fate::Spared && !ends_the_guard
@@ -68,11 +68,11 @@ impl Fault {
         [self.node, self.guard, self.tool].contains(&Fate::Held)
     }
 
-    /// Applies the fault to the node with this process id.
+    /// Applies the fault to the node with this process id. Returns the processes that it stopped.
     pub fn strike(&self, node: u32) -> Struck {
         let mut struck = Struck { held: Vec::new(), frozen: None, guards: Vec::new() };
         let holds_more = [self.guard, self.tool].contains(&Fate::Held);
-        // The node is stopped first. Otherwise it could end its command and start the next one while this searches for the
+        // The node is stopped first. Otherwise it could start its next command while this function looks for the
         // processes.
         if self.node != Fate::Spared && self.means == Means::Signal && holds_more {
             signal(node, Signal::STOP);
@@ -93,16 +93,16 @@ impl Fault {
     }
 }
 
-/// The stopped processes of a fault. Dropping this resumes them.
+/// The processes that a fault stopped. Dropping this value resumes them.
 pub struct Struck {
     held: Vec<u32>,
     frozen: Option<Freezer>,
-    /// The guards that were stopped while they had a command.
+    /// The stopped guards that had a running command.
     guards: Vec<u32>,
 }
 
 impl Struck {
-    /// Whether a guard with a command is still stopped.
+    /// Whether a guard that had a command is still stopped.
     pub fn holds_a_guard(&self) -> bool {
         self.guards.iter().any(|&guard| is_alive(guard))
     }
@@ -130,7 +130,8 @@ impl Drop for Struck {
     }
 }
 
-/// The child processes of `pid`. A node's children are the guards of its commands; a guard's only child is its command.
+/// The child processes of `pid`. The children of a node are the guards of its commands. The only child of a guard is
+/// its command.
 fn children(pid: u32) -> Vec<u32> {
     let all = std::fs::read_dir("/proc").expect("/proc").flatten();
     let all = all.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());

@@ -1,4 +1,4 @@
-//! The kernel's freezer, which stops processes without a signal.
+//! The freezer of the kernel, which stops processes without a signal.
 
 use std::fs;
 use std::io;
@@ -15,7 +15,7 @@ struct Version {
     file: &'static str,
     frozen: &'static str,
     thawed: &'static str,
-    /// The file and the text by which the kernel says that the whole group is frozen.
+    /// The file and the text in it by which the kernel reports that the whole group is frozen.
     says: (&'static str, &'static str),
 }
 
@@ -36,15 +36,15 @@ const VERSIONS: [Version; 2] = [
     },
 ];
 
-/// How long an ending process may keep its group.
+/// How long an ending process may remain in its control group.
 const EMPTY_WITHIN: Duration = Duration::from_secs(1);
 
-/// Frozen processes. They resume when this is dropped, or at the latest when this program ends. No signal ends a frozen
-/// process, so it would otherwise stay until the machine reboots.
+/// Frozen processes. They resume when this value is dropped, or at the latest when this program ends. No signal ends a
+/// frozen process, so without this the process would exist until the machine reboots.
 pub struct Freezer {
     group: PathBuf,
     version: &'static Version,
-    /// A shell that thaws the group when its input ends.
+    /// A shell that resumes the group when its standard input ends.
     keeper: Child,
 }
 
@@ -59,10 +59,10 @@ impl Version {
 }
 
 impl Freezer {
-    /// Freezes these processes, and returns once they are frozen.
+    /// Freezes these processes. Returns once they are frozen.
     ///
     /// # Errors
-    /// The kernel does not let this program freeze processes.
+    /// The kernel may not let this program freeze processes.
     pub fn of(pids: impl Iterator<Item = u32>) -> io::Result<Self> {
         static MADE: AtomicU32 = AtomicU32::new(0);
         let there = |version: &&Version| {
@@ -77,7 +77,7 @@ impl Freezer {
         let keeper = version.keeper(&group)?;
         let freezer = Self { group, version, keeper };
         for pid in pids {
-            // A process that has ended meanwhile needs no freezing.
+            // A process that has already ended cannot be frozen.
             match fs::write(freezer.group.join("cgroup.procs"), pid.to_string()) {
                 Err(error) if error.raw_os_error() != Some(3) => return Err(error),
                 _ => {}
@@ -108,7 +108,7 @@ impl Drop for Freezer {
         }
         drop(self.keeper.stdin.take());
         let _ = self.keeper.wait();
-        // An ending process keeps the group for a moment. If an empty group stays, that does no harm.
+        // An ending process remains in the group for a moment. An empty group that cannot be removed does no harm.
         let end = Instant::now() + EMPTY_WITHIN;
         while fs::remove_dir(&self.group).is_err() && Instant::now() < end {
             thread::sleep(Duration::from_millis(1));

@@ -1,4 +1,4 @@
-//! Collects and counts the results of many trials. A file keeps them, so that an interrupted series can go on.
+//! Collects and counts the results of many trials. A file can keep the results, so that an interrupted series can go on.
 
 use super::tool::{Bound, resolution};
 use super::trial::Trial;
@@ -7,17 +7,18 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
-/// The trials of a series.
+/// The finished trials of a series.
 pub struct Tally {
     done: Mutex<(Vec<Trial>, Option<File>)>,
 }
 
 impl Tally {
-    /// Starts with the trials that a file has from an interrupted run, if one is given. Each new trial is appended to the file.
+    /// Starts a tally. If a file is given, the tally has the trials that the file keeps from an interrupted run, and
+    /// each new trial is appended to the file.
     pub fn open(file: Option<PathBuf>) -> Self {
         let Some(path) = file else { return Self { done: Mutex::default() } };
         let text = std::fs::read_to_string(&path).unwrap_or_default();
-        // The last line may be truncated.
+        // The last line of the file may be truncated, and is then skipped.
         let done = text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
         let file = OpenOptions::new().create(true).append(true).open(path).expect("a file for the trials");
         Self { done: Mutex::new((done, Some(file))) }
@@ -31,14 +32,14 @@ impl Tally {
     pub fn add(&self, trial: Trial) {
         let mut done = self.done.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(file) = &mut done.1 {
-            // The leading line break ends a truncated line.
+            // The line break at the start ends a truncated line.
             let line = serde_json::to_string(&trial).expect("JSON");
             file.write_all(format!("\n{line}\n").as_bytes()).expect("the trial is kept");
         }
         done.0.push(trial);
     }
 
-    /// The trials of the series, and the comparisons.
+    /// Returns the trials of the series, and separately the comparisons.
     pub fn finish(self) -> (Trials, Trials) {
         let (all, _) = self.done.into_inner().unwrap_or_else(PoisonError::into_inner);
         let (comparisons, trials) = all.into_iter().partition(Trial::is_comparison);
@@ -59,12 +60,12 @@ impl Trials {
         self.0.iter().filter(|trial| is(trial)).count() as u64
     }
 
-    /// The longest time with two owners in one trial, in microseconds.
+    /// The longest time during which two tasks acted in one trial, in microseconds.
     pub fn two_owners(&self) -> u64 {
         self.0.iter().map(|trial| trial.two_owners).max().unwrap_or(0)
     }
 
-    /// The counts as text.
+    /// The counts of the trials as text.
     pub fn counts(&self) -> String {
         format!(
             "{} trials, two owners for {} us at most; the standby acted in {}, the owner was in the middle of an action in {}, \
@@ -79,12 +80,12 @@ impl Trials {
         )
     }
 
-    /// For each trial that stopped processes, how long they stood still.
+    /// For each trial that stopped processes, how long they were stopped, in microseconds.
     fn held(&self) -> impl Iterator<Item = u64> {
         self.0.iter().map(|trial| trial.held).filter(|&held| held > 0)
     }
 
-    /// The durations of the take-overs as text.
+    /// The times from the fault to the take-over as text.
     pub fn take_over(&self) -> String {
         let at_once = self.0.iter().filter(|trial| !trial.waited);
         let mut times: Vec<u64> = at_once.filter_map(|trial| trial.took_over).collect();
@@ -99,7 +100,7 @@ impl Trials {
         )
     }
 
-    /// How long commands went on beside a stopped guard, as text.
+    /// How long commands went on while their guard was stopped, as text.
     pub fn went_on(&self) -> String {
         let longest = |bound| {
             let of = self.0.iter().filter(|trial| trial.bound == bound);
@@ -111,7 +112,7 @@ impl Trials {
         )
     }
 
-    /// The results of comparisons as text.
+    /// The results of the comparisons as text.
     pub fn compared(&self) -> String {
         let seen = self.count(|trial| trial.two_owners > 0);
         let guarded = self.count(|trial| !trial.guard_held);
@@ -127,7 +128,7 @@ fn millis(micros: Option<u64>) -> u64 {
     micros.unwrap_or(0) / 1_000
 }
 
-/// Prints the line about the series that `.ci/long` keeps.
+/// Prints the line about the series that the script `.ci/long` keeps.
 pub fn tell(trials: &Trials, comparisons: &Trials) {
     println!(
         "total: {}; {}; {}; {}; the log counts in steps of {} us of CLOCK_BOOTTIME",

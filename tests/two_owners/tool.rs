@@ -1,4 +1,4 @@
-//! The tool that both tasks use: the command of their actions, and the log that shows which task acted when.
+//! The tool that both tasks of a trial use: the command of their actions, and the log that shows which task acted when.
 
 #[path = "../../examples/actuator.rs"]
 #[expect(dead_code, reason = "the start of the example as a program of its own")]
@@ -12,23 +12,23 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 use std::{env, thread};
 
-/// The log of a tool, in the tool's folder.
+/// The name of the log file in the tool's folder.
 const LOG: &str = "tool.log";
-/// The time between two steps on the tool, as in the example.
+/// The time between two steps of a command, as in `examples/actuator.rs`.
 const STEP: Duration = Duration::from_millis(1);
 
 /// What keeps the command of one task from acting while the command of the other acts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum Bound {
-    /// The gate and the deadline, as in the example.
+    /// Both the gate and the deadline, as in `examples/actuator.rs`.
     Both,
-    /// The gate alone; the deadline is ignored.
+    /// The gate only. The command ignores its deadline.
     Gate,
-    /// Neither the gate nor the deadline, for comparison: only the guard ends the command.
+    /// Neither the gate nor the deadline, for a comparison. Only the guard ends the command.
     Neither,
 }
 
-/// The command of an action that acts on the tool in this folder for so long.
+/// The shell command of an action, which uses the tool in this folder for the time `length`.
 pub fn command(name: &str, folder: &Path, bound: Bound, length: Duration) -> String {
     let (program, folder) = (env::current_exe().expect("this program"), folder.display());
     let (program, length) = (program.display(), length.as_millis());
@@ -36,7 +36,7 @@ pub fn command(name: &str, folder: &Path, bound: Bound, length: Duration) -> Str
     format!("{name}={program} --exact {test} --nocapture tool={folder} bound={bound:?} millis={length}")
 }
 
-/// The body of a command of an action, which a node of a trial runs.
+/// The work of an action's command. A node of a trial runs this test program with the name of this function.
 #[test]
 fn moves_the_tool() {
     let said = |name: &str| env::args().find_map(|argument| argument.strip_prefix(name).map(str::to_owned));
@@ -45,7 +45,7 @@ fn moves_the_tool() {
     let length = Duration::from_millis(millis);
     let Orders { epoch, deadline } = Orders::from_env().expect("numbers");
     let epoch = epoch.expect("the tasks are a couple");
-    // If the gate refuses the command in the middle of its work, the command fails, and so does the action.
+    // If the gate refuses a later step of the command, the command fails, and so does the action.
     match said("bound=").as_deref() {
         Some("Both") => {
             let renewed = deadline.clone();
@@ -57,7 +57,7 @@ fn moves_the_tool() {
     }
 }
 
-/// Acts for so long, even if another task acts, too. The log is like that of the example.
+/// Acts for the time `length`, even if the other task acts, too. Writes the same kind of log as `examples/actuator.rs`.
 fn act_unbound(tool: &Path, epoch: u8, length: Duration) {
     let mut log = OpenOptions::new().create(true).append(true).open(tool.join(LOG)).expect("the log");
     let mut line = |what: &str| {
@@ -72,7 +72,7 @@ fn act_unbound(tool: &Path, epoch: u8, length: Duration) {
     line("end");
 }
 
-/// One line of the log. The instant is read within the step that the line describes, in microseconds of `CLOCK_BOOTTIME`.
+/// One line of the log. Its time is read during the step that the line describes, in microseconds of `CLOCK_BOOTTIME`.
 #[derive(Clone, Debug)]
 pub struct Line {
     pub at: u64,
@@ -80,10 +80,10 @@ pub struct Line {
     pub acts: bool,
 }
 
-/// The log of the tool in this folder, in the order of writing.
+/// The lines in the log of the tool in this folder, in the order in which they were written.
 pub fn log_of(tool: &Path) -> Vec<Line> {
     let text = std::fs::read_to_string(tool.join(LOG)).unwrap_or_default();
-    // A reader may see half of a line that crosses a page of the file.
+    // A line that crosses a page boundary of the file may be only half visible to a reader.
     let text = text.rsplit_once('\n').map_or("", |(whole, _)| whole);
     let line = |line: &str| {
         let mut words = line.split(' ');
@@ -94,9 +94,9 @@ pub fn log_of(tool: &Path) -> Vec<Line> {
     text.lines().map(line).collect()
 }
 
-/// For how long steps of an older epoch came after the first step of a newer one, in microseconds. This is judged by the
-/// instants and by the order of the log. An older step behind a newer one in the log counts as at least a microsecond. Both
-/// are needed, because a process may be stopped between reading the clock and writing its line.
+/// How long a command of an older epoch still acted after the first step of a newer epoch, in microseconds. Both the
+/// times and the order of the lines are compared, because a process may be stopped between reading the clock and
+/// writing its line. If an older step stands after a newer one in the log, the result is at least one microsecond.
 pub fn two_owners(log: &[Line]) -> u64 {
     let acts = || log.iter().filter(|line| line.acts);
     let mut of: BTreeMap<u8, (u64, u64)> = BTreeMap::new();
@@ -131,7 +131,7 @@ fn the_log_of_two_owners_is_told_from_that_of_one() {
     assert_eq!(two_owners(&late), 1, "written after a newer one, at an earlier instant");
 }
 
-/// The smallest observable step of the log's clock, in microseconds.
+/// The smallest step of the log's clock that can be observed, in microseconds.
 pub fn resolution() -> u64 {
     let steps = (0..1_000).map(|_| {
         let first = now();

@@ -1,5 +1,5 @@
-//! One trial: it runs a cell whose two tasks share a tool, applies a fault to the acting node, and reads the log of the
-//! tool.
+//! One trial: runs a cell whose two tasks share a tool, applies a fault to the node whose task acts, and reads the log
+//! of the tool.
 
 use super::fault::{FAULTS, Fate, Fault};
 use super::tool::{Bound, command, log_of, two_owners};
@@ -10,8 +10,8 @@ use std::path::Path;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// The cell of the trials: two welders that share a tool. The lease is long, so that a busy machine rarely ends it before
-/// the fault.
+/// The cell of the trials: two welders that share a tool. The lease is long, so that it rarely ends before the fault,
+/// even on a busy machine.
 const CELL: &str = "\
 cell two_owners;
 tick 1 msec;
@@ -33,18 +33,18 @@ couple work r1 -> r2 lease 700 msec takeover 1000 msec every 30 msec via alive;
 check one_active: never r1.active and r2.active;
 ";
 pub const TAKEOVER: Duration = Duration::from_secs(1);
-/// The usual duration of an action: longer than a take-over, so that the command of a dead node would go on acting.
+/// The usual duration of an action. It is longer than a take-over, so that a command whose node is dead would go on acting.
 const WELD: Duration = Duration::from_millis(2500);
-/// An action so short that a fault often hits between two actions, or the start of one.
+/// The duration of an action that is so short that a fault often comes between two actions, or at the start of one.
 const TACK: Duration = Duration::from_millis(40);
-/// An action so long that only a guard ends it.
+/// The duration of an action that is so long that only a guard ends it.
 const ENDLESS: Duration = Duration::from_secs(50);
-/// How much longer than planned a command stays stopped, so that the standby acts meanwhile. A command stopped in the middle of
-/// a step keeps the standby waiting (D150).
+/// How long processes may stay stopped after the planned time, until the standby acts. A command that was stopped in
+/// the middle of a step makes the standby wait (D150).
 const HELD_ON: Duration = Duration::from_secs(3);
-/// For how many steps of the standby a comparison waits.
+/// In a comparison processes stay stopped until the standby has acted in this many steps.
 const STEPS: usize = 20;
-/// How long the cell runs on after the fault.
+/// How long the cell runs after the fault has ended.
 const AFTERWARDS: Duration = Duration::from_millis(500);
 
 /// The plan of a trial.
@@ -52,14 +52,15 @@ const AFTERWARDS: Duration = Duration::from_millis(500);
 pub struct Plan {
     pub number: u64,
     pub fault: Fault,
-    /// The least time for which processes are stopped.
+    /// The least time during which processes are stopped.
     pub length: Duration,
     pub bound: Bound,
     action: Duration,
 }
 
 impl Plan {
-    /// The plan of the trial with this number. A long series also has stops of up to half a minute.
+    /// The plan of the trial with this number. In a long series (`are_many`) processes are also stopped for up to half
+    /// a minute.
     pub fn of(number: u64, are_many: bool) -> Self {
         let (kind, round) = (number % FAULTS.len() as u64, number / FAULTS.len() as u64);
         let mut draws = fastrand::Rng::with_seed(number);
@@ -77,7 +78,7 @@ impl Plan {
         }
     }
 
-    /// The plan of a comparison: this fault, with only the guard to bound the command.
+    /// The plan of a comparison: a trial with this fault, in which only the guard limits the command.
     pub fn comparison(number: u64, fault: Fault) -> Self {
         Self { number, fault, length: TAKEOVER, bound: Bound::Neither, action: ENDLESS }
     }
@@ -95,35 +96,35 @@ pub struct Trial {
     pub number: u64,
     pub fault: String,
     pub bound: Bound,
-    /// For how long steps of an older epoch came after the first step of a newer one.
+    /// How long an older epoch still acted after the first step of a newer one.
     pub two_owners: u64,
-    /// Whether the owner was in the middle of an action.
+    /// Whether the fault came while an action of the owner was being carried out.
     pub mid_action: bool,
-    /// Whether the guard of a running command was stopped.
+    /// Whether a guard with a running command was stopped.
     pub guard_held: bool,
-    /// For how long processes were stopped; 0 if none were.
+    /// How long processes were stopped; 0 if the fault stopped none.
     pub held: u64,
     /// The time from the fault to the standby's first step.
     pub took_over: Option<u64>,
-    /// Whether the standby acted only after a stopped command had been resumed.
+    /// Whether the standby acted only after a stopped command was resumed.
     pub waited: bool,
-    /// The time from the fault to the last step of the owner's command while nothing could kill it.
+    /// The time from the fault to the last step of the owner's command, if during that time nothing could kill the command.
     pub went_on: Option<u64>,
-    /// The verdict of the summary on the check that at most one task is active.
+    /// The summary's verdict on the check that at most one task is active.
     pub check: String,
 }
 
-/// The log of a trial's tool, with times relative to the fault.
+/// The log of a trial's tool, from which times after the fault are computed.
 struct View<'a> {
     tool: &'a Path,
-    /// The epoch that acted last before the fault.
+    /// The last epoch that acted before the fault.
     owner: u8,
-    /// The instant of the fault.
+    /// The time of the fault.
     at: u64,
 }
 
 impl View<'_> {
-    /// The times of steps after the fault: the steps of the owner's epoch, or those of newer epochs.
+    /// The times of the steps after the fault: those of the owner's epoch, or those of newer epochs.
     fn after(&self, of_owner: bool) -> Vec<u64> {
         let log = log_of(self.tool).into_iter().filter(|line| line.acts && line.at > self.at);
         let log =
@@ -142,15 +143,16 @@ pub fn trial(plan: &Plan) -> Trial {
     let live = start(dir.path(), plan);
     let acts = |least: usize| log_of(dir.path()).iter().filter(|line| line.acts).count() >= least;
     wait_until("the primary acts", || acts(20));
-    // The delay is random, so that the fault can come at any moment of the lease.
+    // The delay is random, so that the fault can come at any time of the lease.
     thread::sleep(Duration::from_millis(fastrand::Rng::with_seed(plan.number).u64(0..600)));
     let owner = log_of(dir.path()).last().expect("it acts").epoch;
-    // Once the standby acts, no task takes over from it.
+    // If the standby already acts, no task takes over from it.
     let (node, is_primary) = (if owner % 2 == 1 { "n1" } else { "n2" }, owner % 2 == 1);
     let view = View { tool: dir.path(), owner, at: now() };
     let struck = plan.fault.strike(live.pid(node));
     let (struck_by, is_killed) = (now(), plan.fault.node == Fate::Killed);
-    // The old command is unbounded and should act at the same time as the new one. Both may have to wait for a processor.
+    // The old command is not limited, and should act at the same time as the new one. Either of them may have to wait
+    // for a processor.
     let may_be_two = plan.bound == Bound::Neither && plan.fault.lets_the_command_go_on();
     let least = if plan.bound == Bound::Neither { STEPS } else { 1 };
     let is_seen = || !may_be_two || !struck.holds_a_guard() || two_owners(&log_of(dir.path())) > 0;
@@ -176,7 +178,7 @@ pub fn trial(plan: &Plan) -> Trial {
         took_over: view.took_over(),
         waited: plan.fault.tool == Fate::Held && view.took_over().is_some_and(|after| after > held),
         went_on: (guard_held && plan.fault.lets_the_command_go_on()).then(|| {
-            // Later steps do not count, because the task may then hold the lease again.
+            // Later steps of the owner do not count, because its task may then hold the lease again.
             let last = view.after(true).into_iter().rfind(|&at| at <= view.at + held);
             last.map_or(0, |last| last.saturating_sub(struck_by))
         }),
@@ -197,7 +199,8 @@ fn start(dir: &Path, plan: &Plan) -> Live {
     Live::start(dir, &run)
 }
 
-/// Waits while processes are stopped: as long as planned, and if that is longer than a take-over, until `acts` is true.
+/// Waits while processes are stopped, for the planned time. If the standby must take over, this also waits until `acts`
+/// is true.
 fn hold(plan: &Plan, acts: impl Fn() -> bool) {
     let Plan { fault, length, .. } = plan;
     if fault.holds() {

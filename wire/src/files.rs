@@ -37,7 +37,7 @@ pub enum FileError {
     /// A file of this name exists, and its contents would be lost.
     #[error("there is a file of this name: name another one, or give --force to replace it")]
     Exists,
-    /// The operating system refused.
+    /// The operating system refused the operation.
     #[error(transparent)]
     Io(#[from] io::Error),
 }
@@ -59,7 +59,7 @@ pub fn open(path: &Path) -> Result<File, FileError> {
     let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
     let file = match rustix::fs::open(path, flags, Mode::empty()) {
         Ok(file) => File::from(file),
-        // The name belongs to a socket, or to a device without a driver.
+        // This is the error for a socket, or for a device without a driver.
         Err(rustix::io::Errno::NXIO | rustix::io::Errno::NODEV) => return Err(FileError::NotAFile),
         Err(error) => return Err(FileError::Io(error.into())),
     };
@@ -154,7 +154,8 @@ pub fn check(path: &Path, force: bool) -> Result<(), FileError> {
 /// Removes an unfinished output file. Anything but a regular file, such as a device or a link, stays.
 pub fn discard(path: &Path) {
     if path.symlink_metadata().is_ok_and(|of| of.is_file()) {
-        // If the file cannot be removed, it stays: the caller already reports the error that made the output useless.
+        // If the file cannot be removed, it stays: the caller already reports the error because of which the output is
+        // discarded.
         let _ = std::fs::remove_file(path);
     }
 }

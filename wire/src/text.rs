@@ -1,6 +1,6 @@
-//! Escapes untrusted text before a terminal shows it: names in a cell, fields of a recording, messages of a peer. Every
-//! screen and message asks [`acts`] which characters to escape. So no text moves the cursor, changes a colour, reverses
-//! the writing direction or forges a line.
+//! Escapes untrusted text before a terminal shows it: names in a cell, fields of a recording, messages of another
+//! program. Every screen and message calls [`acts`] to find the characters to escape. So no text moves the cursor,
+//! changes a colour, reverses the writing direction or forges a line.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
@@ -13,7 +13,7 @@ pub const fn acts(c: char) -> bool {
         | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}')
 }
 
-/// The text as one line: every character that a terminal could act on is escaped, line breaks included.
+/// The text as one line: every character on which a terminal could act is escaped, line breaks included.
 ///
 /// ```
 /// assert_eq!(imrs_wire::text::one_line("nl\n\u{1b}[2Jnr"), "nl\\n\\u{1b}[2Jnr");
@@ -33,7 +33,7 @@ pub fn one_line(text: &str) -> Cow<'_, str> {
     Cow::Owned(out)
 }
 
-/// JSON text in which every character that a terminal could act on is escaped; the values stay the same. Such
+/// JSON text in which every character on which a terminal could act is escaped; the values stay the same. Such
 /// characters occur only inside JSON strings, where `\uXXXX` means the same character. Line breaks between values stay.
 #[must_use]
 pub fn json(json: &str) -> Cow<'_, str> {

@@ -59,7 +59,7 @@ fn the_layout_is_the_documented_one() {
     assert_eq!(bytes[124..], GOLDEN_CHECKSUM);
 }
 
-/// Checksum of the datagram above. It fixes version 2 of the format.
+/// The checksum of the datagram above. It fixes version 2 of the format.
 const GOLDEN_CHECKSUM: [u8; 4] = [0x3e, 0xa2, 0x20, 0xa7];
 
 #[test]
@@ -145,7 +145,7 @@ fn each_fault_has_its_own_reason() {
     assert_eq!(refused(NodeId(1), statements, false), EnvelopeError::OtherStatements(DIGESTS.statements));
     assert_eq!(refused(NodeId(1), DIGESTS, false), EnvelopeError::Misdelivered(HERE));
     assert_eq!(refused(HERE, DIGESTS, false), EnvelopeError::UnknownNode(NodeId(0x0102)));
-    // The number of packets must fit the purpose.
+    // The number of packets must be possible for the purpose.
     let greeting = Purpose::Greeting(Greeting::default());
     let with_packets = sealed(&Envelope { purpose: greeting, ..sample() }, 1);
     assert_eq!(reason(&with_packets), Some(EnvelopeError::Length(96)));

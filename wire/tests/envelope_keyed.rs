@@ -28,7 +28,7 @@ fn envelope(purpose: Purpose) -> Envelope {
     }
 }
 
-/// The bytes of a datagram whose session copies what it should encrypt.
+/// The bytes of a datagram whose session copies the bytes that it should encrypt.
 fn sealed(envelope: &Envelope, packets: usize) -> Vec<u8> {
     let mut datagram = Datagram::default();
     (0..packets).for_each(|_| assert!(datagram.push(&[6; 32])));
@@ -103,7 +103,7 @@ fn other_versions_and_modes_are_told_by_name() {
     assert_eq!(with(15, 6), Some(EnvelopeError::Purpose(6)));
 }
 
-/// Bytes that begin as a datagram of mode 1 does, of any kind, with the length of a valid one more often than not.
+/// Bytes that begin as a datagram of mode 1 does, of any kind. More often than not they have the length of a valid datagram.
 fn beginnings() -> impl Strategy<Value = Vec<u8>> {
     let lengths = prop_oneof![
         Just(72_usize),
@@ -131,7 +131,7 @@ proptest! {
     fn what_any_bytes_decode_to_is_encoded_alike(bytes in beginnings(), plain in proptest::collection::vec(any::<u8>(), 0..120)) {
         check(&bytes);
         check(&plain);
-        // The content of a datagram behind its 16 bytes in clear.
+        // The content of the datagram begins behind its 16 bytes in clear.
         check(bytes.get(16..bytes.len().saturating_sub(16)).unwrap_or_default());
     }
 

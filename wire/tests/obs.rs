@@ -298,7 +298,7 @@ fn samples_1_3() -> Vec<(&'static str, Vec<u8>)> {
     ]
 }
 
-/// A delta of changed parts, and one that sends some parts whole.
+/// Two deltas: one with changed parts, and one that has some parts whole.
 fn deltas() -> (Delta, Delta) {
     let old = snapshot();
     let mut new = old.clone();
@@ -335,7 +335,7 @@ fn golden(version: &str, name: &str) -> std::path::PathBuf {
     folder.join(format!("{name}.hex"))
 }
 
-/// Compares samples with their golden files, and returns all their bytes. If `write` is true, it writes the files first.
+/// Compares samples with their golden files. Returns all bytes of the samples. If `write` is true, writes the files first.
 fn kept(version: &str, samples: Vec<(&'static str, Vec<u8>)>, write: bool) -> Vec<u8> {
     let mut all = Vec::new();
     for (name, bytes) in samples {

@@ -1,4 +1,4 @@
-//! Tests of deltas: they are exact, they are small, and forged ones do no harm.
+//! Tests of deltas: they are exact and small, and forged deltas do no harm.
 
 use imrs_protocol::*;
 use imrs_wire::obs::*;
@@ -77,7 +77,7 @@ fn snapshot(tasks: u16, ports: u16, seed: u64) -> Snapshot {
     }
 }
 
-/// The snapshot `passed` microseconds later if nothing happens. Some state machines advance, others do not.
+/// The snapshot that follows `passed` microseconds later if nothing happens. Some state machines advance, others do not.
 fn later(of: &Snapshot, passed: u64, advanced: impl Fn(usize) -> u64) -> Snapshot {
     let mut new = of.clone();
     (new.mono_us, new.uptime_us) = (of.mono_us + passed, of.uptime_us + passed);
@@ -177,8 +177,8 @@ proptest! {
         prop_assert_eq!(&got, &old);
     }
 
-    /// If a delta of one snapshot is applied to any other snapshot, `apply` either returns an error and changes
-    /// nothing, or gives some snapshot.
+    /// Applies a delta of one snapshot to any other snapshot: `apply` either returns an error and changes nothing, or
+    /// gives some snapshot.
     #[test]
     fn what_changed_elsewhere_is_borne(seed in 0..50_u64, after in edits(), damage in (any::<usize>(), any::<u8>()), tasks in 0..5_u16) {
         let (old, mut new) = (snapshot(4, 5, seed), snapshot(4, 5, seed + 1));
@@ -230,7 +230,7 @@ fn a_change_of_another_snapshot_is_told_apart() {
     assert_eq!(third, before);
 }
 
-/// The traffic of ten thousand ports at 10 Hz, if 5 % of the ports of every task change in each period.
+/// Ten thousand ports are shown at 10 Hz, while 5 % of the ports of every task change in each period.
 #[test]
 fn ten_thousand_ports_fit_the_budget() {
     let mut state = snapshot(TASKS, PORTS, 0);
@@ -259,7 +259,7 @@ fn ten_thousand_ports_fit_the_budget() {
     assert!(bytes <= 100_000, "{bytes} bytes a second");
 }
 
-/// The bit of a kind is its variant number in the encoding, so that both sides mean the same kind.
+/// The bit of a kind of event is the kind's variant number in the encoding, so that both sides mean the same kind.
 #[test]
 fn kinds_of_events_are_their_places_in_the_encoding() {
     for event in [Event::Sent, Event::PeerRestarted, Event::Reached, Event::GaveUp, Event::Fenced] {

@@ -1,4 +1,4 @@
-//! Tests of socket paths: private folders, search, stale sockets.
+//! Tests of socket paths: private folders, the search for sockets, and stale sockets.
 
 use imrs_wire::obs::place::{MAX_PATH, PlaceError, pid_of, prepare_in, remove_if_stale, sockets_in};
 use std::fs;

@@ -1,5 +1,5 @@
-//! Runs one case a given number of times and prints nothing. `.ci/counts` counts the instructions of this
-//! program.
+//! Runs one case of the benchmarks a given number of times and prints nothing. `.ci/counts` counts the instructions of
+//! this program.
 
 use imrs_bench::cases;
 use imrs_bench::suite::Effort;

@@ -1,4 +1,4 @@
-//! Small cells for the cases, and the tasks that run in them.
+//! Small cells for the benchmark cases, and the tasks that run in them.
 
 use crate::sample::{Sample, laps, nanos_of};
 use imrs_protocol::script::{Binary, End, Program, ProgramBuilder, Type};
@@ -8,13 +8,13 @@ use std::sync::Arc;
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
-/// The asking task.
+/// The task that asks.
 pub const A: TaskId = TaskId(0);
-/// The answering task.
+/// The task that answers.
 pub const B: TaskId = TaskId(1);
-/// The port that A asks on.
+/// The port on which A asks.
 pub const ASK: PortId = PortId(0);
-/// The TTL of every message. It is longer than any case takes, so a message that expires shows as a failure.
+/// The TTL of every message. It is longer than any case takes, so a message that expires makes its case fail.
 pub const LONG: Duration = Duration::from_secs(60);
 /// [`LONG`] in ticks of one microsecond.
 pub const LONG_TICKS: Ticks = Ticks(60_000_000);
@@ -36,24 +36,25 @@ pub fn cell(tasks: usize, nodes: usize) -> Cell {
     cell
 }
 
-/// A checked table.
+/// Checks a cell and makes its table.
 pub fn table(cell: Cell) -> Arc<CellTable> {
     Arc::new(CellTable::new(cell).expect("a sound cell"))
 }
 
 /// The longest contents that fit in one packet.
 pub const FULL: [u8; 12] = [7; 12];
-/// Contents that hold one number, in the layout of the scripts here.
+/// Contents that hold one number, in the layout that the scripts of these cases use.
 pub const NUMBER: [u8; 4] = [7; 4];
 
-/// A asks B, by `send` (class 2) or by `query`.
+/// A cell in which A asks B, by `send` (class 2) or by `query`.
 pub fn asking(nodes: usize, usage: Usage) -> Arc<CellTable> {
     let mut cell = cell(2, nodes);
     cell.port(PortDecl::new("ask", A, usage, &[B], LONG_TICKS).command());
     table(cell)
 }
 
-/// Asks `times` times, after some round trips to warm up. Returns the times, and the sleeps of all threads per round trip.
+/// Asks `times` times, after some round trips to warm up. Returns the measured times, and the number of sleeps of all
+/// threads per round trip.
 pub fn ask(ctx: &mut Context, contents: &[u8], times: u32, group: u32) -> Result<Sample, TaskError> {
     let mut failed = None;
     let mut round_trip = || match ctx.send(ASK, contents) {
@@ -79,7 +80,7 @@ pub fn answer(ctx: &mut Context) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// As [`ask`], in a task that is a future. Returns the times of `group` round trips each.
+/// As [`ask`], in a task that is a future. Returns the measured times, each of `group` round trips.
 pub async fn ask_as_future(ctx: &mut AsyncContext, times: u32, group: u32) -> Result<Sample, TaskError> {
     let mut nanos = Vec::with_capacity(usize::try_from(times / group).unwrap_or_default());
     for round in 0..=times / group {
@@ -88,7 +89,7 @@ pub async fn ask_as_future(ctx: &mut AsyncContext, times: u32, group: u32) -> Re
             let sent = ctx.send(ASK, &FULL).await?;
             assert!(sent.reply().is_some(), "no answer but {sent:?}");
         }
-        // The first group warms up.
+        // The first group of round trips warms up, and is not counted.
         if round > 0 {
             nanos.push(nanos_of(begins.elapsed()));
         }
@@ -105,7 +106,7 @@ pub async fn answer_as_future(mut ctx: AsyncContext) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// Waits at the rendezvous until all members have come, and fails if the task gave up.
+/// Waits at the rendezvous until all members have arrived, and fails if the task gave up.
 pub fn meet(ctx: &mut Context, port: PortId) -> Result<(), TaskError> {
     match ctx.waitfor(port)? {
         Rendezvous::Released { .. } => Ok(()),
@@ -120,14 +121,14 @@ pub fn hear<T>(node: Runtime, told: &Receiver<T>) -> T {
     heard.expect("the task that measures told what it measured")
 }
 
-/// Stops a node; no task of it may have failed.
+/// Stops a node, and checks that no task of it has failed.
 pub fn stop(node: Runtime) {
     let ends = node.stop(LONG);
     let well = |end: &TaskEnd| matches!(end, TaskEnd::Returned | TaskEnd::Script(End::Finished));
     assert!(ends.iter().all(|(_, end)| well(end)), "{ends:?}");
 }
 
-/// A script that asks `times` times and ends.
+/// A script that asks `times` questions and ends.
 pub fn asker(times: u32) -> Arc<Program> {
     let mut b = ProgramBuilder::new("asker");
     let (n, answer) = (b.variable("n", Type::Int32), b.variable("answer", Type::Int32));
@@ -141,7 +142,7 @@ pub fn asker(times: u32) -> Arc<Program> {
     Arc::new(b.finish().expect("a sound program"))
 }
 
-/// A script that answers every question, for ever.
+/// A script that answers every question, in an endless loop.
 pub fn answerer() -> Arc<Program> {
     let mut b = ProgramBuilder::new("answerer");
     let n = b.variable("n", Type::Int32);
@@ -153,7 +154,7 @@ pub fn answerer() -> Arc<Program> {
     Arc::new(b.finish().expect("a sound program"))
 }
 
-/// A script that meets the others `times` times and ends.
+/// A script that meets the other tasks `times` times and ends.
 pub fn meeter(port: PortId, times: u32) -> Arc<Program> {
     let mut b = ProgramBuilder::new("meeter");
     let n = b.variable("n", Type::Int32);

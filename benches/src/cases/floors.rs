@@ -1,4 +1,5 @@
-//! Baselines (`floor/..`): the least that a hand-over can cost, written by hand without messages, deadlines or order.
+//! The baselines (`floor/..`): the least that a hand-over between threads can cost, written by hand without messages,
+//! deadlines or order.
 
 use crate::cores::{self, Core};
 use crate::sample::{Sample, each, laps};
@@ -21,8 +22,8 @@ pub const GROUP: u32 = 32;
 const FAR: Duration = Duration::from_secs(60);
 const STOP: u32 = u32::MAX;
 
-/// Two coroutines that pass a number to each other. They are boxed futures, with a queue of the futures that
-/// are ready.
+/// Two coroutines that pass a number to each other. They are boxed futures, and a queue holds the futures that are
+/// ready.
 pub fn coroutines(effort: Effort) -> Sample {
     struct Turn(Rc<Cell<u64>>, Rc<Cell<bool>>, bool);
     impl Future for Turn {
@@ -59,7 +60,7 @@ pub fn coroutines(effort: Effort) -> Sample {
     sample
 }
 
-/// The case that shows how far apart the two cores are.
+/// The name of the case that measures how far apart the two cores are.
 pub const LINE: &str = "floor/spinning line";
 
 /// Adds the case [`LINE`] to a suite whose results depend on it, so that both are measured in the same
@@ -91,7 +92,8 @@ fn while_spinning(line: &AtomicU32, from: u32) -> u32 {
     }
 }
 
-/// As `spinning_line`, but a waiting thread sleeps on a futex after some spinning, and is woken only if it sleeps.
+/// As `spinning_line`, but a waiting thread sleeps on a futex after some spinning, and the other thread wakes it only
+/// if it sleeps.
 pub fn spin_then_futex(effort: Effort) -> Sample {
     const LOOKS: u32 = 2_000;
     const ASLEEP: u32 = 1 << 31;
@@ -117,7 +119,7 @@ pub fn spin_then_futex(effort: Effort) -> Sample {
             let _ = futex::wake(&line, futex::Flags::PRIVATE, 1);
         }
     };
-    // `STOP` contains the `ASLEEP` bit, so here 0 and 1 are the turns and 2 is the end.
+    // `STOP` contains the `ASLEEP` bit, so in this case the values 0 and 1 say whose turn it is, and 2 ends the loop.
     let (wait, pass) = (&wait, &pass);
     cores::pin(Core::First);
     let sample = thread::scope(|s| {
@@ -138,7 +140,7 @@ pub fn spin_then_futex(effort: Effort) -> Sample {
     sample
 }
 
-/// This thread writes 1 and waits for 0; the other thread does the opposite.
+/// Passes a number to and fro. This thread writes 1 and waits for 0; the other thread writes 0 and waits for 1.
 fn ping_pong(
     times: u32,
     group: u32,
@@ -167,7 +169,8 @@ fn ping_pong(
     sample
 }
 
-/// A row of threads in which each wakes the next, to the end and back. A waiting thread sleeps in `park` or `park_timeout`.
+/// A row of threads in which each wakes the next one, to the last thread and back. A waiting thread sleeps in `park` or
+/// `park_timeout`.
 pub fn relay(effort: Effort, full: u32, threads: usize, places: [Core; 2], timed: bool) -> Sample {
     let turn = AtomicU32::new(0);
     // a b c d c b: the thread of each step of a round trip.
@@ -227,7 +230,7 @@ fn pass(turn: &AtomicU32, value: u32, steps: u32, row: &[usize], all: &[Thread])
     all[row[next as usize]].unpark();
 }
 
-/// Sends a datagram of 32 bytes there and back over the loopback. Both ends sleep in the socket with a time_out, or
+/// Sends a datagram of 32 bytes there and back over the loopback. Both threads sleep in the socket with a time_out, or
 /// spin.
 pub fn udp(effort: Effort, full: u32, other: Core, spins: bool) -> Sample {
     let socket = || {
@@ -284,7 +287,7 @@ pub fn connected() -> [TcpStream; 2] {
     })
 }
 
-/// Sends 32 bytes there and back over a TCP connection on the loopback. Both ends sleep in the socket with a
+/// Sends 32 bytes there and back over a TCP connection on the loopback. Both threads sleep in the socket with a
 /// time_out.
 pub fn tcp(effort: Effort, full: u32, other: Core) -> Sample {
     let [mut a, mut b] = connected();
@@ -296,7 +299,7 @@ pub fn tcp(effort: Effort, full: u32, other: Core) -> Sample {
         s.spawn(move || {
             cores::pin(other);
             let mut buffer = [0; 32];
-            // The other end closes the connection.
+            // The loop ends when the other end closes the connection.
             while b.read_exact(&mut buffer).is_ok() {
                 b.write_all(&buffer).expect("sent");
             }

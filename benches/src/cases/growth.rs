@@ -1,4 +1,4 @@
-//! How costs grow, how much is allocated, and how often an idle node wakes up.
+//! How costs grow with the size of a cell, how much memory is allocated, and how often an idle node wakes up.
 
 use super::cells::{self, A, ASK, B, LONG_TICKS};
 use super::floors::GROUP;
@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::sync::mpsc::channel;
 use std::time::Duration;
 
-/// How costs grow with ports, tasks and waiting messages.
+/// The suite that measures how costs grow with ports, tasks and waiting messages.
 #[must_use]
 pub fn growth() -> Suite {
     let mut suite = Suite::new("growth");
@@ -73,7 +73,7 @@ pub fn growth() -> Suite {
     suite
 }
 
-/// Memory, and the wake-ups of an idle node.
+/// The suite that measures memory, and the wake-ups of an idle node.
 #[must_use]
 pub fn footprint() -> Suite {
     let mut suite = Suite::new("footprint");
@@ -132,7 +132,7 @@ fn crowd(tasks: usize) -> Arc<CellTable> {
     cells::table(cell)
 }
 
-/// A asks B on `ports` ports.
+/// A cell in which A asks B on `ports` ports.
 fn questions(ports: usize) -> Arc<CellTable> {
     let mut cell = cells::cell(2, 1);
     for port in 0..ports {
@@ -149,7 +149,7 @@ fn ask_on(effort: Effort, table: &Arc<CellTable>, port: PortId) -> Sample {
     each(effort.of(50_000), GROUP, || machine_round_trip(&mut node, port, contents))
 }
 
-/// A sends to B on `ports` ports, each with room for `room` messages.
+/// A cell in which A sends to B on `ports` ports, each with room for `room` messages.
 fn fan(ports: usize, room: u16) -> Arc<CellTable> {
     let mut cell: Cell = cells::cell(2, 1);
     for port in 0..ports {
@@ -159,7 +159,7 @@ fn fan(ports: usize, room: u16) -> Arc<CellTable> {
     cells::table(cell)
 }
 
-/// The port of the last received message.
+/// An outbox that keeps the port of the last received message.
 struct Taken(Option<PortId>);
 
 impl NodeOutbox for Taken {
@@ -237,7 +237,7 @@ fn allocations() -> Sample {
                     })
                 })
             };
-            // The least of several series counts, because other threads may not sleep yet at the beginning.
+            // The least result of several series counts, because at the beginning other threads may not sleep yet.
             let mut least = None;
             for _ in 0..5 {
                 let (done, allocated) = series();

@@ -1,4 +1,4 @@
-//! Send, receive and reply within a node, with a deadline armed for every message (P1 to P5).
+//! Measures send, receive and reply within a node, with a deadline for every message (goals P1 to P5).
 
 use super::cells::{self, A, ASK, B, LONG_TICKS};
 use super::floors::{self, GROUP};
@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 const ONE: [Core; 2] = [Core::First; 2];
 const TWO: [Core; 2] = [Core::First, Core::Second];
 
-/// Hand-overs with both ends awake in one thread (P1, P5), or a thread at one end (P4).
+/// The suite of hand-overs without sleeping: both tasks in one thread (P1, P5), or one task on a thread of its own (P4).
 #[must_use]
 pub fn awake() -> Suite {
     let mut suite = Suite::new("awake");
@@ -75,7 +75,7 @@ pub fn awake() -> Suite {
     suite
 }
 
-/// Hand-overs between two threads, hot (P2) or asleep (P3).
+/// The suite of hand-overs between two threads that spin (P2) or sleep (P3).
 #[must_use]
 pub fn threads() -> Suite {
     let mut suite = Suite::new("threads");
@@ -134,7 +134,7 @@ pub fn threads() -> Suite {
     suite
 }
 
-/// Two Rust tasks on threads of their own, which spin this long before they sleep.
+/// Measures two Rust tasks on threads of their own, which spin this long before they sleep.
 fn asking(effort: Effort, full: u32, group: u32, places: [Core; 2], spin: Duration) -> Sample {
     let (tell, told) = channel();
     let times = effort.of(full);
@@ -157,9 +157,9 @@ fn asking(effort: Effort, full: u32, group: u32, places: [Core; 2], spin: Durati
     sample
 }
 
-/// Two scripts of one node. The thread that starts them runs both to their end.
+/// Measures two scripts of one node. The thread that starts the scripts runs both to their end.
 pub fn scripts(effort: Effort, usage: Usage, how: Watched) -> Sample {
-    // One input may cause at most 10,000 steps of a script.
+    // A script takes at most 10,000 steps for one input.
     const MOST: u32 = 1_000;
     let all = effort.of(24 * MOST);
     let times = all.min(MOST);
@@ -182,7 +182,7 @@ pub fn scripts(effort: Effort, usage: Usage, how: Watched) -> Sample {
     Sample::of(nanos, times)
 }
 
-/// Two futures of one node.
+/// Measures two futures of one node.
 fn futures(effort: Effort) -> Sample {
     let (tell, told) = channel();
     let times = effort.of(24_000);

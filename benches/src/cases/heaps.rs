@@ -1,12 +1,11 @@
-//! The baseline of the deadline queue (P8): the same job with std's heap.
+//! The baseline of the deadline queue (goal P8): the same operations with the heap of the standard library.
 
 use super::queues::Waiting;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// The baseline for the queue: the same operations with the heap of the standard library. The heap holds keys, which
-/// refer to entries in a slab. If an entry is removed from the slab, its key stays in the heap, and is skipped when it
-/// comes to the top.
+/// The baseline of the deadline queue. The standard library's heap holds keys, which refer to entries in a slab. If an
+/// entry is removed from the slab, its key stays in the heap, and is skipped when it comes to the top.
 pub struct Heaps {
     entries: Vec<Option<Waiting>>,
     free: Vec<u16>,
@@ -14,11 +13,11 @@ pub struct Heaps {
     due: Option<BinaryHeap<Reverse<Placed>>>,
 }
 
-/// Deadline, number and place of an entry.
+/// A key: the deadline, number and place of an entry.
 type Placed = (u64, u64, u16);
 
 impl Heaps {
-    /// Without entries; with a second order if `two`.
+    /// Makes heaps without entries, with a second order of the entries if `two`.
     #[must_use]
     pub fn new(capacity: u16, two: bool) -> Self {
         let heap = || BinaryHeap::with_capacity(usize::from(capacity));
@@ -30,7 +29,7 @@ impl Heaps {
         }
     }
 
-    /// Adds an entry, and returns its place in the slab; none if there is no room.
+    /// Adds an entry. Returns its place in the slab, or `None` if there is no room.
     pub fn push(&mut self, waiting: Waiting) -> Option<u16> {
         let place = self.free.pop()?;
         let key = Reverse((waiting.deadline, waiting.number, place));
@@ -42,7 +41,7 @@ impl Heaps {
         Some(place)
     }
 
-    /// Takes any entry out.
+    /// Removes the entry at a place, whatever its urgency.
     pub fn take(&mut self, place: u16) -> Option<Waiting> {
         let taken = self.entries[usize::from(place)].take()?;
         self.free.push(place);
@@ -53,7 +52,7 @@ impl Heaps {
         entries[usize::from(place)].as_ref().is_some_and(|waiting| waiting.number == number)
     }
 
-    /// Removes the most urgent entry. Then drops keys from the top of the other order whose entries are gone.
+    /// Removes the most urgent entry. Then drops keys of removed entries from the top of the other order.
     pub fn pop(&mut self) -> Option<Waiting> {
         let first = loop {
             let Reverse(key) = self.urgent.pop()?;
@@ -84,7 +83,7 @@ mod tests {
                 let waiting = || Waiting { deadline: number % 7, number, packet: [number; 4] };
                 let place = heaps.push(waiting()).expect("room");
                 let slot = queue.push(waiting()).ok().expect("room");
-                // Some entries leave out of turn.
+                // Some entries are removed although they are not the most urgent.
                 if number % 5 < 2 {
                     let taken = heaps.take(place).map(|waiting| waiting.number);
                     assert_eq!(taken, queue.remove(slot).map(|waiting| waiting.number));

@@ -1,4 +1,4 @@
-//! What keys between nodes cost (D191): beside the same without keys, and for each datagram that is refused.
+//! What keys between nodes cost (D191), compared with the same work without keys, and for each datagram that is refused.
 
 use super::cells;
 use super::network::{COALESCED, Closing, ask, one_way, two_links};
@@ -21,25 +21,26 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 const NODES: [NodeId; 2] = [NodeId(0), NodeId(1)];
-/// How many datagrams wait in the socket when the link begins to refuse them: too few to count as a flood, from which it rests.
+/// How many datagrams wait in the socket when the link begins to refuse them. So few do not count as a flood, after
+/// which the link would pause.
 const WAITING: usize = 15;
-/// How long the link waits for more.
+/// How long the link waits for further datagrams.
 const SHORT: Duration = Duration::from_millis(20);
 
-/// A forged datagram, by what it takes to refuse it.
+/// The kinds of forged datagrams, by the work that it takes to refuse them.
 #[derive(Clone, Copy)]
 enum Forged {
-    /// A session has its index, and its tag is wrong.
+    /// The index belongs to a session, but the tag is wrong.
     Tag,
-    /// No session has its index.
+    /// The index belongs to no session.
     Index,
-    /// A first datagram of a handshake, closed with another key.
+    /// The datagram is the first one of a handshake, closed with another cell's key.
     Hello,
-    /// Without keys: its checksum is wrong.
+    /// The datagram is one without keys, and its checksum is wrong.
     Checksum,
 }
 
-/// The suite with the cases and rows about keys.
+/// Adds the cases and rows about keys to the suite.
 pub fn join(mut suite: Suite) -> Suite {
     for (name, other) in [("keys/UDP one core", Core::First), ("keys/UDP two cores", Core::Second)] {
         suite.case(
@@ -73,7 +74,7 @@ pub fn join(mut suite: Suite) -> Suite {
     suite
 }
 
-/// Both links with keys of one cell.
+/// The two links with keys of one cell.
 pub fn with_keys(links: [UdpLink; 2]) -> [UdpLink; 2] {
     let cell = draw_cell_key().expect("random numbers");
     let pairs = NODES.map(|node| (node, draw_node_keys().expect("random numbers")));
@@ -85,7 +86,7 @@ pub fn with_keys(links: [UdpLink; 2]) -> [UdpLink; 2] {
     })
 }
 
-/// Counts what a link drops.
+/// A sink that counts what its link drops.
 #[derive(Default)]
 struct Dropped(AtomicUsize);
 
@@ -113,7 +114,7 @@ const PACKET: Packet = Packet {
     seal: Seal::NONE,
 };
 
-/// Intercepts a genuine datagram of the first node to the second: of a session, or the first one of a handshake.
+/// Intercepts a genuine datagram from the first node to the second: a datagram of a session, or the first one of a handshake.
 fn taken(links: &[UdpLink; 2], packets: usize, is_hello: bool) -> Vec<u8> {
     let [a, b] = links;
     let (sink, mut bytes) = (Dropped::default(), vec![0; 2_048]);
@@ -139,7 +140,7 @@ fn refused(effort: Effort, forged: Forged, packets: usize) -> Sample {
     let links = two_links(&cells::asking(2, Usage::Send), closing);
     let mut bytes = taken(&links, packets, matches!(forged, Forged::Hello));
     match forged {
-        // The upper half of an index is the place of a neighbour.
+        // The upper half of a session index is the number of a neighbour. It stays, and the lower half is changed.
         Forged::Index => bytes[6] ^= 1,
         Forged::Tag | Forged::Hello | Forged::Checksum => *bytes.last_mut().expect("a tag") ^= 1,
     }

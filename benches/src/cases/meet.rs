@@ -1,4 +1,4 @@
-//! Rendezvous: of tasks on threads (P9), and of scripts (P10).
+//! Measures rendezvous of tasks on threads (goal P9), and of scripts (goal P10).
 
 use super::cells::{self, LONG_TICKS};
 use super::floors::GROUP;
@@ -18,7 +18,7 @@ use std::time::Instant;
 const LIFT: PortId = PortId(0);
 const WARM_UP: u32 = 5;
 
-/// A `waitfor` of n tasks against barriers.
+/// The suite that compares a `waitfor` of n tasks with barriers.
 #[must_use]
 pub fn meetings() -> Suite {
     let mut suite = Suite::new("meetings");
@@ -133,7 +133,7 @@ fn waitfor(effort: Effort, n: usize) -> Sample {
 
 fn scripts_meet(effort: Effort, n: usize) -> Sample {
     let all = effort.of(4_000);
-    // One input may cause at most 10,000 steps of scripts.
+    // Scripts take at most 10,000 steps for one input.
     let times = all.min(8_000 / n as u32);
     let table = table(n);
     let mut nanos = Vec::new();
@@ -151,7 +151,7 @@ fn scripts_meet(effort: Effort, n: usize) -> Sample {
     Sample::of(nanos, times)
 }
 
-/// How many members were released.
+/// An outbox that counts how many members were released.
 #[derive(Default)]
 struct Released(usize);
 

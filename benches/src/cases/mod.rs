@@ -1,4 +1,4 @@
-//! The cases that need no peer: hand-written baselines, and the subjects to measure.
+//! The cases that need no other library: hand-written baselines, and the subjects that are measured.
 
 pub mod cells;
 pub mod floors;
@@ -17,7 +17,7 @@ pub mod urgent;
 
 use crate::suite::Suite;
 
-/// All suites, with the peers of this build.
+/// All suites, with the other libraries of this build.
 #[must_use]
 pub fn all() -> Vec<Suite> {
     let mut suites = vec![
@@ -44,14 +44,14 @@ pub fn all() -> Vec<Suite> {
     suites
 }
 
-/// Whether threads of this case work on two processors at once.
+/// Whether threads of this case run on two processors at once.
 fn is_on_two(suite: &str, case: &str) -> bool {
     match suite {
         "awake" => case == "kameo/ask from a thread",
         "threads" => !case.ends_with("one core"),
         "network" => !(case.ends_with("one core") || case.starts_with("refuse/")),
         "urgent" | "streams" => true,
-        // Scripts, and tokio's tasks, meet on one thread.
+        // The members of a meeting run on one thread if they are scripts or tasks of tokio.
         "meetings" => case.starts_with("floor/") || case.starts_with("runtime/waitfor"),
         "recording" => case.starts_with("threads ") || case.starts_with("UDP "),
         "observe" => case.starts_with("watched by "),

@@ -1,4 +1,4 @@
-//! Node to node over UDP on the loopback (P11, P12).
+//! Measures messages between two nodes over UDP on the loopback (goals P11, P12).
 
 use super::cells::{self, LONG_TICKS};
 use super::floors;
@@ -18,15 +18,15 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
 
-/// How many packets of 32 bytes the baseline of P12 puts into one datagram.
+/// How many packets of 32 bytes the baseline of goal P12 puts into one datagram.
 pub const COALESCED: usize = 43;
-/// How many datagrams one call sends, if the kernel segments them.
+/// How many datagrams one call sends, if the kernel cuts the call into datagrams.
 const SEGMENTS: usize = 4;
 
-/// How many packets such a call sends.
+/// How many packets one such call sends.
 const BURST: u64 = (COALESCED * SEGMENTS) as u64;
 
-/// Round trips and streams over UDP.
+/// The suite of round trips and streams over UDP.
 #[must_use]
 pub fn network() -> Suite {
     let mut suite = Suite::new("network");
@@ -94,23 +94,23 @@ pub fn network() -> Suite {
     keys::join(suite)
 }
 
-/// The rows of messages that go one way (P12).
+/// Adds the rows about messages that go one way (goal P12).
 fn one_way_rows(suite: &mut Suite) {
     let (stream, floor) = ("runtime/UDP one way", "floor/UDP one way, 43 a datagram");
     suite.row(Row::new("P12", stream, floor, Stat::Mean, Goal::AtLeast(0.8)));
     let together = "runtime/UDP one way, 172 together";
     suite.row(Row::new("P12", together, floor, Stat::Mean, Goal::AtLeast(1.1)).was(">= 1.5"));
-    // What segmentation gains if only the calls cost anything (D129).
+    // This row shows what such calls save if nothing but the calls costs time (D129).
     let segmented = "floor/UDP one way, 43 a datagram, segmented";
     suite.row(Row::new("P12", segmented, floor, Stat::Mean, Goal::AtLeast(1.0)));
 }
 
-/// What closes the datagrams between two nodes.
+/// How the datagrams between two nodes are protected.
 #[derive(Clone, Copy)]
 pub enum Closing {
-    /// A checksum.
+    /// A checksum protects each datagram.
     Checksum,
-    /// Keys of both nodes.
+    /// Keys of both nodes protect each datagram.
     Keys,
 }
 
@@ -143,8 +143,8 @@ fn two_nodes(table: &Arc<CellTable>, closing: Closing) -> [Builder; 2] {
     })
 }
 
-/// Round trips between two nodes over UDP. The tasks run on the first core and on `other`, and spin this long before they
-/// sleep.
+/// Measures round trips between two nodes over UDP. The tasks run on the first core and on `other`, and spin this long
+/// before they sleep.
 pub fn ask(effort: Effort, other: Core, how: Watched, spin: Duration, closing: Closing) -> Sample {
     let table = cells::asking(2, Usage::Send);
     let [a, b] = two_nodes(&table, closing).map(|node| node.spin(spin));
@@ -169,7 +169,8 @@ pub fn ask(effort: Effort, other: Core, how: Watched, spin: Duration, closing: C
     sample
 }
 
-/// Class-1 messages from one node to another, sent so many together, at most `window` of them under way.
+/// Measures class-1 messages from one node to another. `together` messages are sent at once, and at most `window` are
+/// in flight.
 pub fn one_way(effort: Effort, together: u64, window: u64, closing: Closing) -> Sample {
     let mut cell = cells::cell(2, 2);
     let decl = PortDecl::new("news", cells::A, Usage::Send, &[cells::B], LONG_TICKS);
@@ -182,7 +183,7 @@ pub fn one_way(effort: Effort, together: u64, window: u64, closing: Closing) -> 
     cores::pin(Core::First);
     let b = b.task("t1", move |ctx| {
         let (mut begins, mut count, mut messages) = (None, 0, Vec::with_capacity(MANY));
-        // A datagram that the kernel drops must not block the rest, so the sender counts what arrived.
+        // A datagram that the kernel drops must not block the measurement, so the sender counts the messages that arrived.
         while ctx.receive_many(None, &mut messages, MANY, None)? > 0 {
             let begins = *begins.get_or_insert_with(Instant::now);
             let before = count;
@@ -223,7 +224,7 @@ pub fn one_way(effort: Effort, together: u64, window: u64, closing: Closing) -> 
     sample
 }
 
-/// Whether the kernel segments what is sent, and merges what arrives (GSO and GRO).
+/// Whether the kernel cuts sent data into datagrams, and merges datagrams that arrive (GSO and GRO).
 fn cuts_segments() -> bool {
     let takes = || {
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).ok()?;
@@ -233,7 +234,7 @@ fn cuts_segments() -> bool {
     takes().is_some()
 }
 
-/// The baseline of P12, with `segments` datagrams in each call.
+/// Measures the baseline of goal P12, with `segments` datagrams in each call.
 fn coalesced(effort: Effort, segments: usize) -> Sample {
     let socket = || {
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).expect("a socket");
@@ -257,7 +258,7 @@ fn coalesced(effort: Effort, segments: usize) -> Sample {
             cores::pin(Core::Second);
             let contents = vec![7; bytes];
             for sent in 0..calls {
-                // As many packets in flight as the window of messages allows.
+                // At most as many packets are in flight as the window of messages allows.
                 while (sent * packets).saturating_sub(taken.load(Ordering::Acquire)) > WINDOW {
                     std::thread::yield_now();
                 }

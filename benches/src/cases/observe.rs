@@ -1,4 +1,4 @@
-//! Measures what monitors cost a node (goals M3, M4, M6). They are real monitors, connected to its socket: fast,
+//! Measures what monitors cost a node (goals M3, M4, M6). The monitors are real, connected to the node's socket: fast,
 //! slow, stopped, or sending garbage.
 
 use super::cells;
@@ -23,29 +23,29 @@ use std::sync::mpsc::channel;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// How long a monitor waits before it checks whether it should end.
+/// How long a simulated monitor waits before it checks again whether it must end.
 const LOOK: Duration = Duration::from_millis(20);
-/// The update period that the monitor's screen requests: ten times a second.
+/// The time between two updates that the monitor's screen requests, in microseconds.
 const PERIOD_US: u32 = 100_000;
 
-/// The monitors of a case.
+/// The monitors that are connected in a case.
 #[derive(Clone, Copy)]
 enum Crowd {
     /// No monitor, and the node has no socket for monitors.
     Nobody,
     /// No monitor, but the node listens for monitors.
     Empty,
-    /// This many monitors, which read everything.
+    /// This many monitors, each of which reads everything.
     Readers(usize),
-    /// One, which never reads.
+    /// One monitor, which never reads.
     Stopped,
-    /// One, which reads a byte a second.
+    /// One monitor, which reads a byte a second.
     Slow,
-    /// Monitors that connect one after the other, and each send garbage.
+    /// Monitors that connect one after the other. Each of them sends garbage.
     Mad,
 }
 
-/// The cost of being observed, and the size of updates.
+/// The suite that measures the cost of being observed, and the size of updates.
 #[must_use]
 pub fn observe() -> Suite {
     let mut suite = Suite::new("observe");
@@ -142,7 +142,7 @@ enum Measured {
 fn watched(effort: Effort, crowd: Crowd, measured: Measured) -> Sample {
     let table = cells::asking(1, Usage::Send);
     let (tell, told) = channel();
-    // Long enough for several update periods of the monitors.
+    // The case is long enough for several updates of the monitors.
     let times = effort.of(30_000);
     let onlooker = Onlooker::of(Watched::Not, &table, NodeId(0));
     let node = onlooker.told_by(Runtime::builder(table, NodeId(0)));
@@ -278,7 +278,7 @@ impl Monitors {
     }
 }
 
-/// A connection that requests everything.
+/// A connection of a monitor that requests everything.
 fn attach(path: &Path) -> UnixStream {
     let stream = UnixStream::connect(path).expect("the node listens");
     stream.set_read_timeout(Some(LOOK)).expect("a socket");
@@ -299,12 +299,12 @@ fn attach(path: &Path) -> UnixStream {
     stream
 }
 
-/// Reads as the monitor does, but shows nothing.
+/// Reads frames as the monitor does, but shows nothing.
 fn read_all(stream: UnixStream, stop: &AtomicBool) {
     let mut reader = FrameReader::new(stream, MAX_FRAME);
     let mut frames = 0;
     while !stop.load(Ordering::Relaxed) {
-        // Nothing has arrived, or the node has gone.
+        // A failed read means that nothing has arrived, or that the node has ended.
         frames += u64::from(reader.read_frame().is_ok());
     }
     std::hint::black_box(frames);
@@ -322,7 +322,7 @@ fn socket() -> PathBuf {
     std::env::temp_dir().join(format!("imrs-bench-{}-{number}.sock", std::process::id()))
 }
 
-/// A node of 100 tasks with 100 ports each.
+/// The state of a node with 100 tasks of 100 ports each.
 fn large() -> Snapshot {
     let port = |id: u16| PortView {
         port: PortId(id),
@@ -347,7 +347,7 @@ fn large() -> Snapshot {
     Snapshot { mono_us: 1 << 32, tasks: (0..100).map(task).collect(), ..Snapshot::default() }
 }
 
-/// Measures updates in which one of each `apart` ports has changed; with `usize::MAX`, none.
+/// Measures updates in which one of `apart` ports has changed; with `usize::MAX`, no port.
 fn change(effort: Effort, apart: usize) -> Sample {
     let old = large();
     let mut new = old.clone();
@@ -377,7 +377,7 @@ fn change(effort: Effort, apart: usize) -> Sample {
     Sample::of_all(begins.elapsed(), times.into()).with(bytes as f64 * 1e6 / f64::from(PERIOD_US))
 }
 
-/// The size of an update in bytes, encoded.
+/// The size of an encoded update, in bytes.
 fn size(delta: &Delta) -> usize {
     let mut writer = FrameWriter::new(Vec::new());
     writer.push(&ServerFrame::Delta(delta.clone())).expect("it fits a frame");

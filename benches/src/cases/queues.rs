@@ -1,4 +1,4 @@
-//! The deadline queue and the timers by themselves (P8, P13), and the lateness of time_outs (P14).
+//! Measures the deadline queue and the timers by themselves (goals P8, P13), and the lateness of time_outs (goal P14).
 
 use super::cells;
 use super::floors::GROUP;
@@ -17,13 +17,13 @@ use std::time::{Duration, Instant};
 const MOST: u16 = 65_000;
 const SIZES: [(u16, &str); 3] = [(16, "16"), (1_000, "1k"), (MOST, "65k")];
 
-/// An entry with the key and the size of a packet.
+/// An entry with a deadline and the size of a packet.
 pub struct Waiting {
     /// Entries are ordered by their deadlines.
     pub deadline: u64,
-    /// Of entries with equal deadlines, the one with the least number is first.
+    /// Of two entries with equal deadlines, the one with the lesser number is first.
     pub number: u64,
-    /// The rest.
+    /// The remaining data, so that the entry has the size of a packet.
     pub packet: [u64; 4],
 }
 
@@ -40,7 +40,7 @@ impl Entry for Waiting {
     }
 }
 
-/// The deadline queue.
+/// The suite of the deadline queue.
 #[must_use]
 pub fn queues() -> Suite {
     let mut suite = Suite::new("queues");
@@ -77,7 +77,7 @@ pub fn queues() -> Suite {
     suite
 }
 
-/// Deadlines at a bounded distance behind the given one, in pseudo-random order, the same in every run.
+/// Draws deadlines at a bounded distance after the given one, in pseudo-random order, the same in every run.
 fn deadlines() -> impl FnMut(u64) -> u64 {
     let mut state = 0x2545_F491_4F6C_DD1D_u64;
     move |now| {
@@ -88,7 +88,7 @@ fn deadlines() -> impl FnMut(u64) -> u64 {
     }
 }
 
-/// Measures a queue with room for one more entry than wait in it.
+/// Measures a queue that has room for one more entry than wait in it.
 fn held(effort: Effort, mut queue: Queue<Waiting>) -> Sample {
     let mut next = deadlines();
     let mut number = 0;
@@ -120,7 +120,7 @@ fn heap(effort: Effort, size: u16, two: bool) -> Sample {
     })
 }
 
-/// Timers.
+/// The suite of timers and time_outs.
 #[must_use]
 pub fn timers() -> Suite {
     let mut suite = Suite::new("timers");
@@ -204,7 +204,7 @@ fn in_turn(effort: Effort, size: u16) -> Sample {
     })
 }
 
-/// The baseline: a hashed timer wheel. Entries are in a slab, doubly linked within the slot of their time.
+/// The baseline: a hashed timer wheel. Its entries are in a slab; the entries of one time slot are doubly linked.
 struct Wheel {
     links: Vec<[u32; 2]>,
     slots: u32,
@@ -212,8 +212,7 @@ struct Wheel {
 
 impl Wheel {
     fn new(entries: u32, slots: u32) -> Self {
-        // The list head of each slot of the wheel stands behind the entries, and is linked to itself at
-        // first.
+        // The list head of each slot of the wheel comes after the entries, and is linked to itself at first.
         let links = (0..entries + slots).map(|at| [at, at]).collect();
         Self { links, slots }
     }
@@ -247,7 +246,7 @@ fn wheel(effort: Effort, size: u16) -> Sample {
     })
 }
 
-/// Pseudo-random lengths of 1 to 2 ms.
+/// Draws pseudo-random lengths of 1 to 2 ms.
 fn lengths() -> impl FnMut() -> Duration {
     let mut next = deadlines();
     move || Duration::from_micros(1_000 + next(0) % 1_000)

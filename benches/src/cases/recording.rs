@@ -13,25 +13,25 @@ use std::sync::mpsc::channel;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// The recorded incarnation, and whether an earlier one may have taken commands.
+/// The recorded incarnation, and whether an earlier incarnation may have taken commands.
 const INCARNATION: (Incarnation, bool) = (Incarnation(1), false);
-/// How many steps are recorded of a round trip between two scripts.
+/// How many steps are recorded for a round trip between two scripts.
 const STEPS: u32 = 5;
 /// How long the end of a recording may take.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// How a node is watched.
+/// Whether and how a node is recorded or observed.
 #[derive(Clone, Copy)]
 pub enum Watched {
     /// The node is neither recorded nor observed.
     Not,
-    /// A recorder writes into a sink that takes everything.
+    /// A recorder writes into a sink that takes all bytes at once.
     Recorded,
-    /// A reader takes its observations every 20 ms.
+    /// A reader takes the node's observations every 20 ms.
     Observed,
 }
 
-/// Recording, observation, replay.
+/// The suite of recording, observation and replay.
 #[must_use]
 pub fn recording() -> Suite {
     let mut suite = Suite::new("recording");
@@ -92,7 +92,7 @@ impl Onlooker {
         Self { recorder, observer: None }
     }
 
-    /// Gives the recorder to the node.
+    /// Adds the recorder to the node.
     pub fn told_by(&self, node: Builder) -> Builder {
         let node = node.incarnation(INCARNATION.0, INCARNATION.1);
         match &self.recorder {
@@ -157,7 +157,7 @@ fn threads(effort: Effort, how: Watched) -> Sample {
     sample
 }
 
-/// A sink that keeps the written bytes.
+/// A sink that keeps all written bytes.
 #[derive(Clone, Default)]
 struct Kept(Arc<Mutex<Vec<u8>>>);
 
@@ -172,7 +172,7 @@ impl Write for Kept {
     }
 }
 
-/// The table and the recording of a node whose tasks asked and answered.
+/// The table of a node whose tasks asked and answered, and the node's recording.
 fn recorded(times: u32) -> (Arc<CellTable>, Vec<u8>) {
     let table = cells::asking(1, Usage::Send);
     let kept = Kept::default();
@@ -200,7 +200,7 @@ fn recorded(times: u32) -> (Arc<CellTable>, Vec<u8>) {
 }
 
 fn replay(effort: Effort) -> Sample {
-    // Few enough that everything fits in the buffer in front of the sink, however late that is.
+    // There are so few steps that all of them fit into the buffer in front of the sink, however late the writing thread is.
     let (table, bytes) = recorded(3_500);
     let table = NodeTable::new(table, NodeId(0));
     let (times, mut events) = (effort.of(20), 0);
@@ -219,7 +219,7 @@ fn replay(effort: Effort) -> Sample {
 mod tests {
     use super::*;
 
-    /// How many steps a recording has in which two scripts make this many round trips.
+    /// How many steps the recording of two scripts has that make this many round trips.
     fn steps(trips: u32) -> usize {
         let table = cells::asking(1, Usage::Send);
         let (kept, of_node) = (Kept::default(), NodeTable::new(Arc::clone(&table), NodeId(0)));

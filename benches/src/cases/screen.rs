@@ -1,12 +1,12 @@
-//! The time of a frame of the monitor (M1): every screen, for 100 nodes with 10,000 ports, on a large terminal.
+//! Measures the time of a frame of the monitor (goal M1): every screen, for 100 nodes with 10,000 ports, on a large terminal.
 
 use crate::sample::{Sample, worked};
 use crate::suite::{Effort, Goal, Row, Stat, Suite};
 use imrs_monitor::specimen::{Shown, Specimen};
 
-/// Columns and rows.
+/// The size of the terminal: columns and rows.
 const SIZE: (u16, u16) = (200, 60);
-/// The bound of M1, in nanoseconds.
+/// The bound of goal M1, in nanoseconds.
 const BOUND_NS: f64 = 4e6;
 /// The keys that lead from the overview to each screen.
 const SCREENS: [(&str, &str); 11] = [
@@ -23,7 +23,7 @@ const SCREENS: [(&str, &str); 11] = [
     ("model", "7"),
 ];
 
-/// Each screen of the monitor.
+/// The suite with a case for each screen of the monitor.
 #[must_use]
 pub fn screen() -> Suite {
     let mut suite = Suite::new("screen");

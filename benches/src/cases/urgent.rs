@@ -1,4 +1,4 @@
-//! An urgent message behind a full port (P7), and the throughput of many messages (P6).
+//! Measures an urgent message behind a full port (goal P7), and the throughput of many messages (goal P6).
 
 use super::cells::{self, LONG_TICKS};
 use super::floors;
@@ -15,12 +15,12 @@ use std::time::{Duration, Instant};
 
 /// How many messages wait in front of the urgent one.
 pub const BEHIND: u16 = 1_024;
-/// How long the receiver works for one of the messages that wait.
+/// How long the receiver works for each of the messages that wait.
 const SERVICE: Duration = Duration::from_micros(2);
 /// How many messages of one sender may be in flight at once.
 pub const WINDOW: u64 = 256;
 
-/// An urgent message behind 1,024 others.
+/// The suite with an urgent message behind 1,024 others.
 #[must_use]
 pub fn urgent() -> Suite {
     let mut suite = Suite::new("urgent");
@@ -66,13 +66,14 @@ fn two_channels() -> (impl FnMut(bool) + Send, impl FnMut() -> Option<bool>) {
     (send, receive)
 }
 
-/// How many urgent messages a round sends. With fewer, the median would depend on chance.
+/// How many urgent messages are sent in a round. With fewer messages, the median would depend on chance.
 #[must_use]
 pub fn times(effort: Effort) -> u32 {
     effort.of(100).max(9)
 }
 
-/// Fills a channel of `make`, sends the urgent message, then lets the receiver begin. Both threads are awake, on two cores.
+/// Fills a channel that `make` makes, sends the urgent message, then lets the receiver begin. Both threads are awake,
+/// on two cores.
 pub fn urgent_through<S, R>(effort: Effort, make: impl Fn() -> (S, R)) -> Sample
 where
     S: FnMut(bool) + Send,
@@ -115,8 +116,8 @@ where
     Sample::of(nanos, 1)
 }
 
-/// Keeps sender and receiver in step: both are awake and on their cores when the urgent message is sent, so that neither
-/// waits for the scheduler.
+/// Keeps sender and receiver in step. Both are awake and on their cores when the urgent message is sent, so that
+/// neither of them waits for the scheduler.
 #[derive(Default)]
 struct Gate(AtomicU64);
 
@@ -131,26 +132,26 @@ impl Gate {
         }
     }
 
-    /// For the sender, when all other messages wait. Returns when the receiver is awake.
+    /// The sender calls this when all other messages wait. Returns when the receiver is awake.
     fn filled(&self, time: u64) {
         self.reach(4 * time + 1);
         self.until(4 * time + 2, std::hint::spin_loop);
     }
 
-    /// For the sender, when the urgent message is sent. Returns when all messages are served.
+    /// The sender calls this when it has sent the urgent message. Returns when all messages are served.
     fn sent(&self, time: u64) {
         self.reach(4 * time + 3);
         self.until(4 * time + 4, std::thread::yield_now);
     }
 
-    /// For the receiver. Returns when the urgent message is sent.
+    /// The receiver calls this before it begins. Returns when the urgent message is sent.
     fn ready(&self, time: u64) {
         self.until(4 * time + 1, std::thread::yield_now);
         self.reach(4 * time + 2);
         self.until(4 * time + 3, std::hint::spin_loop);
     }
 
-    /// For the receiver, when all messages are served.
+    /// The receiver calls this when all messages are served.
     fn served(&self, time: u64) {
         self.reach(4 * time + 4);
     }
@@ -212,7 +213,7 @@ fn urgent_in_ports(effort: Effort) -> Sample {
     cells::hear(node, &told)
 }
 
-/// Many messages of 32 bytes to one receiver.
+/// The suite with many messages of 32 bytes to one receiver.
 #[must_use]
 pub fn streams() -> Suite {
     let mut suite = Suite::new("streams");
@@ -252,7 +253,7 @@ pub fn streams() -> Suite {
     suite
 }
 
-/// 32 bytes, the size of a packet.
+/// A message of 32 bytes, which is the size of a packet.
 pub type Message = [u64; 4];
 
 fn naive_heap() -> (impl FnMut(Message) + Clone + Send, impl FnMut() -> Message) {
@@ -286,7 +287,7 @@ fn naive_heap() -> (impl FnMut(Message) + Clone + Send, impl FnMut() -> Message)
     (send, receive)
 }
 
-/// `senders` threads on one core send to one thread on the other.
+/// Measures a stream: `senders` threads on one core send to one thread on the other core.
 pub fn stream_through<S, R>(effort: Effort, senders: usize, make: impl Fn() -> (S, R)) -> Sample
 where
     S: FnMut(Message) + Clone + Send,
@@ -314,7 +315,7 @@ where
     Sample::of_all(elapsed, each * senders as u64)
 }
 
-/// Streams through ports of the runtime. The receiver takes up to `most` messages at once.
+/// Measures streams through ports of the runtime. The receiver takes up to `most` messages at once.
 fn stream_of_ports(effort: Effort, senders: usize, most: usize) -> Sample {
     let mut cell = cells::cell(senders + 1, 1);
     let receiver = TaskId::from_index(senders);
@@ -342,7 +343,7 @@ fn stream_of_ports(effort: Effort, senders: usize, most: usize) -> Sample {
             }
             let port = PortId::from_index(sender);
             for n in 0..each {
-                // A full class-1 port drops messages, so the sender waits while `WINDOW` messages are not
+                // A full class-1 port drops messages, so the sender waits while `WINDOW` of its messages have not been
                 // taken yet.
                 while n - taken[sender].load(Ordering::Acquire) >= WINDOW {
                     std::thread::yield_now();

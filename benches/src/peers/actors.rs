@@ -1,4 +1,4 @@
-//! Tasks and actors on one thread: tokio, kameo, ractor, actix.
+//! Measures tasks and actors of other libraries on one thread: tokio, kameo, ractor, actix.
 
 use super::posts::{Actix, Kameo, Note, Post, Ractor, Tokio, Took};
 use crate::cases::floors::GROUP;
@@ -9,7 +9,7 @@ use crate::suite::{Effort, Goal, Row, Stat, Suite};
 use std::time::{Duration, Instant};
 use tokio::task::{LocalSet, spawn_local};
 
-/// Adds these peers to a suite.
+/// Adds these libraries to a suite.
 pub fn join(suite: &mut Suite) {
     match suite.name {
         "awake" => awake(suite),
@@ -26,7 +26,7 @@ fn block_on<T>(work: impl Future<Output = T>) -> T {
     LocalSet::new().block_on(&runtime, work)
 }
 
-/// Starts the peer of this name, runs `work` with it, and ends it.
+/// Starts the receiver of the library with this name, runs `work` with it, and ends it.
 fn with<W: Work>(peer: &str, work: W) -> Sample {
     cores::pin(Core::First);
     let sample = match peer {
@@ -46,7 +46,7 @@ fn with<W: Work>(peer: &str, work: W) -> Sample {
 
 const PEERS: [&str; 4] = ["tokio mpsc+oneshot", "kameo", "ractor", "actix"];
 
-/// A measurement that works with every peer.
+/// A measurement that works with the receiver of every library.
 trait Work {
     async fn run<P: Post>(self, post: P) -> Sample;
 }
@@ -118,7 +118,7 @@ impl Work for Behind {
     async fn run<P: Post>(self, post: P) -> Sample {
         let mut nanos = Vec::new();
         for _ in 0..self.0 {
-            // All messages wait before any is served: otherwise the runtime would run the receiver in between.
+            // All messages must wait before any is served. Otherwise the library would run the receiver in between.
             let fill = async {
                 for _ in 0..BEHIND {
                     post.tell(Note::Work).await;
@@ -159,7 +159,7 @@ impl Work for Stream {
         for sender in senders {
             sender.await.expect("no panic");
         }
-        // It answers when all earlier messages are served.
+        // The receiver answers this question when it has served all earlier messages.
         post.ask().await;
         Sample::of_all(begins.elapsed(), u64::from(each) * count)
     }

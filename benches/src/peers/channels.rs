@@ -1,4 +1,4 @@
-//! Channels between threads: crossbeam, flume, kanal, rtrb.
+//! Measures channels of other libraries between threads: crossbeam, flume, kanal, rtrb.
 
 use crate::cases::urgent::{BEHIND, Message, stream_through, urgent_through};
 use crate::cores::{self, Core};
@@ -9,7 +9,7 @@ use std::time::Duration;
 const LONG: Duration = Duration::from_secs(60);
 const ROOM: usize = 1_024;
 
-/// Adds these peers to a suite.
+/// Adds these libraries to a suite.
 pub fn join(suite: &mut Suite) {
     match suite.name {
         "threads" => threads(suite),
@@ -67,7 +67,7 @@ where
             answered().expect("an answer");
         };
         laps(50, 1, &mut round_trip);
-        // Each round trip is timed alone, as the runtime's, because the tails are compared, too.
+        // Each round trip is timed by itself, as for the runtime, because the slowest round trips are compared, too.
         let nanos = laps(effort.of(1_500), 1, &mut round_trip);
         drop(ask);
         nanos

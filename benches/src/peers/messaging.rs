@@ -1,4 +1,5 @@
-//! Messaging systems over a network that people would use instead. libzmq and nng are C libraries, built from source.
+//! Measures messaging systems over a network that people would use instead. libzmq and nng are C libraries, built from
+//! source.
 
 use crate::cores::{self, Core};
 use crate::sample::{Sample, nanos_of};
@@ -8,14 +9,14 @@ use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
 use zenoh::Wait;
 
-/// How many round trips warm up.
+/// How many round trips are made before anything is timed.
 const WARM: u32 = 50;
 /// The contents of questions and answers.
 const BYTES: [u8; 32] = [7; 32];
-/// How long a connecting end waits before it checks again whether the other end is there.
+/// How long the connecting side waits before it checks again whether the other side is there.
 const LOOK: Duration = Duration::from_millis(5);
 
-/// Adds these peers to a suite.
+/// Adds these libraries to a suite.
 pub fn join(suite: &mut Suite) {
     if suite.name != "network" {
         return;
@@ -61,7 +62,7 @@ pub fn join(suite: &mut Suite) {
     }
 }
 
-/// A free address on the loopback.
+/// A free address on the loopback interface.
 fn address() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     format!("tcp/{}", listener.local_addr().expect("bound"))
@@ -132,7 +133,7 @@ fn libzmq_push(effort: Effort) -> Sample {
         let socket = context.socket(zmq::PULL).expect("a socket");
         socket.bind(&at).expect("an address");
         let take = || assert_eq!(socket.recv_bytes(0).expect("a message").len(), BYTES.len());
-        // Timing starts with the first message: before it the two ends connect.
+        // Timing starts with the first message, because the two sides connect before it.
         take();
         let begins = Instant::now();
         (0..times).for_each(|_| take());
@@ -167,7 +168,7 @@ fn nng(times: u32, other: Core) -> Sample {
     on_threads(other, serve, ask)
 }
 
-/// Two zenoh peers that know each other's address and do not search for other peers.
+/// Two zenoh peers that know each other's address and do not search for others.
 fn sessions() -> (zenoh::Session, zenoh::Session) {
     let at = address();
     let open = |listen: &str, connect: &str| {
@@ -197,7 +198,7 @@ fn zenoh_get(times: u32, other: Core) -> Sample {
     let ask = || {
         here.get("ask").payload(&BYTES[..]).wait().expect("asked").recv().is_ok_and(|a| a.result().is_ok())
     };
-    // Repeats until this peer knows that the other one answers.
+    // The loop ends when this peer knows that the other one answers.
     while !ask() {
         std::thread::sleep(LOOK);
     }
@@ -215,7 +216,7 @@ fn zenoh_put(effort: Effort) -> Sample {
     let publisher = here.declare_publisher("news").congestion_control(zenoh::qos::CongestionControl::Block);
     let publisher = publisher.wait().expect("a publisher");
     let put = || publisher.put(&BYTES[..]).wait().expect("sent");
-    // Repeats until this peer knows that the other one listens. Messages up to then do not count.
+    // The loop ends when this peer knows that the other one listens. Messages up to then do not count.
     while told.try_recv().is_err() {
         put();
         std::thread::sleep(LOOK);

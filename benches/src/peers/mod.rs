@@ -13,7 +13,7 @@ mod posts;
 
 use crate::suite::Suite;
 
-/// Adds the peers of this build.
+/// Adds the other libraries of this build to the suites.
 pub fn join(suites: &mut [Suite]) {
     for suite in suites {
         #[cfg(feature = "peers")]

@@ -1,4 +1,4 @@
-//! Over a network: tokio's UDP and TCP, and zeromq (the implementation in Rust, over TCP).
+//! Measures other libraries over a network: tokio's UDP and TCP, and zeromq (the implementation in Rust, over TCP).
 
 use crate::cases::floors;
 use crate::cores::{self, Core};
@@ -9,7 +9,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpStream, UdpSocket};
 use zeromq::{Socket, SocketRecv, SocketSend, ZmqMessage};
 
-/// Adds these peers to a suite.
+/// Adds these libraries to a suite.
 pub fn join(suite: &mut Suite) {
     if suite.name != "network" {
         return;
@@ -30,7 +30,7 @@ pub fn join(suite: &mut Suite) {
             "32 bytes there and back, REQ and REP over TCP on the loopback, two single-threaded runtimes",
             move |effort| req_rep(effort.of(1_000), other),
         );
-        // These bounds come from others: the runtime may take 1.2 times the baseline's time on one core and
+        // These bounds follow from other bounds: the runtime may take 1.2 times the baseline's time on one core and
         // 1.15 times on two; tokio took 1.4 times on one core.
         let (zeromq, tokio) = if other == Core::First { (3.5, 1.15) } else { (1.3, 0.87) };
         for (peer, times) in [("zeromq/REQ-REP", zeromq), ("tokio/UDP", tokio), ("tokio/TCP", tokio)] {
@@ -51,7 +51,7 @@ fn block_on<T>(work: impl Future<Output = T>) -> T {
     runtime.expect("a runtime").block_on(work)
 }
 
-/// Runs `serve` on a thread of its own, and `work` here.
+/// Runs `serve` on a thread of its own, and `work` on this thread.
 fn both<T>(other: Core, serve: impl Future<Output = ()> + Send, work: impl Future<Output = T>) -> T {
     let done = std::thread::scope(|s| {
         s.spawn(move || {
@@ -107,7 +107,7 @@ fn tokio_tcp(times: u32, other: Core) -> Sample {
     };
     let serve = async move {
         let (mut stream, mut buffer) = (stream(b), [0; 32]);
-        // The other end closes the connection.
+        // The loop ends when the other end closes the connection.
         while stream.read_exact(&mut buffer).await.is_ok() {
             stream.write_all(&buffer).await.expect("sent");
         }

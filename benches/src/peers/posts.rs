@@ -1,4 +1,5 @@
-//! Receivers on one thread with a mailbox: tasks of tokio, and actors of kameo, ractor and actix.
+//! The receivers of other libraries on one thread, each with a mailbox: tasks of tokio, and actors of kameo, ractor and
+//! actix.
 
 use crate::cases::urgent::Message;
 use crate::sample::nanos_of;
@@ -6,22 +7,22 @@ use std::future::Future;
 use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, oneshot};
 
-/// How many messages fit in a mailbox.
+/// How many messages fit into a mailbox.
 pub const ROOM: usize = 2_048;
 const SERVICE: Duration = Duration::from_micros(2);
 
-/// A message without an answer.
+/// A message that gets no answer.
 #[derive(Debug)]
 pub enum Note {
     /// A message of a stream.
     Plain(Message),
     /// A message that takes 2 us of work.
     Work,
-    /// An urgent one, and when it was sent.
+    /// An urgent message, with the time at which it was sent.
     Urgent(Instant),
 }
 
-/// The receiver that every peer runs.
+/// The receiver that every library runs.
 #[derive(Debug, Default)]
 pub struct Clerk {
     took: u64,
@@ -44,11 +45,11 @@ impl Clerk {
     }
 }
 
-/// A handle to such a receiver.
+/// A handle to a receiver of a library.
 pub trait Post: Clone + 'static {
     /// Asks how long the last urgent message took until it was served, in nanoseconds.
     fn ask(&self) -> impl Future<Output = u64>;
-    /// Sends a message; waits while the mailbox is full.
+    /// Sends a message to the receiver; waits while the mailbox is full.
     fn tell(&self, note: Note) -> impl Future<Output = ()>;
 }
 
@@ -57,7 +58,7 @@ pub trait Post: Clone + 'static {
 pub struct Tokio(mpsc::Sender<(Option<Note>, Option<oneshot::Sender<u64>>)>);
 
 impl Tokio {
-    /// Starts it on the current runtime.
+    /// Starts the task on the current runtime.
     pub fn start() -> Self {
         let (tell, mut told) = mpsc::channel::<(Option<Note>, Option<oneshot::Sender<u64>>)>(ROOM);
         tokio::spawn(async move {
@@ -88,7 +89,7 @@ impl Post for Tokio {
 #[derive(Clone)]
 pub struct Kameo(pub kameo::actor::ActorRef<Clerk>);
 
-/// The question that every actor answers.
+/// The question that every receiver answers.
 pub struct Took;
 
 impl kameo::Actor for Clerk {
@@ -114,7 +115,7 @@ impl kameo::message::Message<Note> for Clerk {
 }
 
 impl Kameo {
-    /// Starts it on the current runtime.
+    /// Starts the actor on the current runtime.
     pub fn start() -> Self {
         use kameo::Actor;
         Self(Clerk::spawn_with_mailbox(Clerk::default(), kameo::mailbox::bounded(ROOM)))
@@ -170,13 +171,13 @@ impl ractor::Actor for RactorClerk {
 }
 
 impl Ractor {
-    /// Starts it on the current runtime.
+    /// Starts the actor on the current runtime.
     pub async fn start() -> Self {
         let (actor, _) = ractor::Actor::spawn(None, RactorClerk, ()).await.expect("it starts");
         Self(actor)
     }
 
-    /// Ends it.
+    /// Ends the actor.
     pub fn stop(&self) {
         self.0.stop(None);
     }
@@ -230,7 +231,7 @@ impl actix::Handler<Note> for Clerk {
 }
 
 impl Actix {
-    /// Starts it on the current system.
+    /// Starts the actor on the current system.
     pub fn start() -> Self {
         Self(actix::Actor::start(Clerk::default()))
     }
@@ -241,7 +242,7 @@ impl Post for Actix {
         self.0.send(Took).await.expect("an answer")
     }
     async fn tell(&self, note: Note) {
-        // `do_send` has no bound; `try_send` reports a full mailbox.
+        // `do_send` ignores the mailbox's bound; `try_send` reports a full mailbox.
         let mut note = note;
         loop {
             match self.0.try_send(note) {

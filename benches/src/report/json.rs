@@ -5,7 +5,7 @@ use crate::machine::Facts;
 use crate::suite::{Against, Goal};
 use serde_json::{Value, json};
 
-/// The facts, the cases with every round, and the rows with their ratios. Times are in nanoseconds.
+/// The facts about the machine, the cases with every round, and the rows with their ratios. Times are in nanoseconds.
 #[must_use]
 pub fn json(facts: &Facts, rounds: u32, slack: f64, all: &[Results]) -> Value {
     let suites: Vec<Value> = all.iter().map(|results| suite(results, slack)).collect();

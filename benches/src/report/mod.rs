@@ -13,7 +13,7 @@ pub use text::{cases, rows};
 use crate::judge::Outcome;
 use crate::suite::{Against, Goal};
 
-/// A ratio with its spread, for tables.
+/// A row's ratio with its spread, as text for tables.
 pub(crate) fn ratio(outcome: &Outcome) -> String {
     let Some(ratio) = outcome.ratio else { return "not measured".into() };
     let (median, least, most) = (short(ratio.median), short(ratio.least), short(ratio.most));
@@ -30,7 +30,7 @@ pub(crate) fn unit(outcome: &Outcome) -> &'static str {
     }
 }
 
-/// The verdict in a word or two.
+/// The verdict on a row in one or two words.
 pub(crate) fn verdict(outcome: &Outcome, slack: f64) -> String {
     match (outcome.undecided, outcome.met(slack)) {
         (Some(why), _) => format!("not decided: {}", why.text()),
@@ -40,7 +40,7 @@ pub(crate) fn verdict(outcome: &Outcome, slack: f64) -> String {
     }
 }
 
-/// How far apart the two processors were, and in how many rounds, for a row of two.
+/// For a row that compares cases on two processors: how far apart the processors were, and in how many rounds.
 pub(crate) fn place(outcome: &Outcome) -> String {
     outcome.apart.map_or_else(String::new, |apart| format!("{}, {}", apart.name(), outcome.rounds))
 }
@@ -55,7 +55,7 @@ pub(crate) fn short(value: f64) -> String {
     }
 }
 
-/// Nanoseconds in the most readable unit.
+/// A time as text, in the most readable unit.
 pub(crate) fn time(nanos: f64) -> String {
     match nanos {
         n if n >= 1e6 => format!("{} ms", short(n / 1e6)),

@@ -12,15 +12,15 @@ use std::path::{Path, PathBuf};
 const BEGIN: &str = "<!-- measured: begin -->";
 const END: &str = "<!-- measured: end -->";
 
-/// Why the page was not updated.
+/// Why the page with the table was not updated.
 #[derive(Debug, thiserror::Error)]
 pub enum PageError {
     /// The page cannot be read or written.
     #[error("cannot renew {path}: {source}")]
     File {
-        /// The page.
+        /// The path of the page.
         path: PathBuf,
-        /// The error of the system.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The page has no marks for the table.
@@ -70,7 +70,7 @@ fn table(facts: &Facts, rounds: u32, slack: f64, all: &[Results]) -> String {
     text
 }
 
-/// How long a cache line takes between the two cores: most rows of two cores depend on it.
+/// How long a cache line takes between the two cores, on which most rows of two cores depend.
 fn lines(all: &[Results]) -> String {
     let line = |results: &Results| {
         let case = results.cases.iter().find(|case| case.name == LINE)?;

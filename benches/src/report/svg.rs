@@ -1,4 +1,5 @@
-//! Draws the rows as a picture: one bar each on a logarithmic scale, with 1 at the bound. Left of it is better.
+//! Draws the rows as a picture: one bar for each row on a logarithmic scale, with 1 at the bound. A bar that ends
+//! further left is better.
 
 use super::{ratio, verdict};
 use crate::harness::Results;
@@ -11,7 +12,7 @@ const WIDTH: f64 = 960.0;
 const LABEL: f64 = 470.0;
 const STEP: f64 = 22.0;
 const TOP: f64 = 56.0;
-/// The decades on either side of the bound: from a thousandth of it to a thousand times it.
+/// How many powers of ten the scale has on either side of the bound: from a thousandth of it to a thousand times it.
 const DECADES: f64 = 3.0;
 
 /// The picture of all measured rows.
@@ -45,7 +46,7 @@ pub fn plot(facts: &Facts, slack: f64, all: &[Results]) -> String {
 
 fn bar(outcome: &Outcome, slack: f64, y: f64, text: &impl Fn(f64, f64, &str, &str) -> String) -> String {
     let Some(found) = outcome.ratio else { return String::new() };
-    // The share of its bound that a row uses, for both kinds of goals.
+    // Which share of its bound a row uses, for both kinds of goals.
     let share = |value: f64| match outcome.row.goal {
         Goal::AtMost(bound) => value / bound,
         Goal::AtLeast(bound) => bound / value,

@@ -1,4 +1,4 @@
-//! Tables for a terminal.
+//! The results as tables for a terminal.
 
 use super::{place, ratio, time, unit, verdict};
 use crate::harness::Results;
@@ -27,7 +27,7 @@ pub fn rows(results: &Results, slack: f64) -> String {
     table(&std::iter::once(header).chain(results.rows.iter().map(of)).collect::<Vec<_>>())
 }
 
-/// The cases of a suite: the times of each, as medians over the rounds.
+/// The cases of a suite with their times, each a median over the rounds.
 #[must_use]
 pub fn cases(results: &Results) -> String {
     let header = ["case", "p50", "p99", "p99.9", "mean", "count"].map(String::from);

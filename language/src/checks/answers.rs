@@ -1,4 +1,5 @@
-//! Checks that every message that waits for an answer gets one, on every path of the handler or body that took it.
+//! Checks that every received message that waits for an answer gets one, on every path of the handler or body that received
+//! it.
 
 use super::unanswered::{self, Question};
 use crate::codes::{NEVER_ANSWERED, NOT_ALWAYS_ANSWERED, STATEMENT};
@@ -51,13 +52,13 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// The span of a slot's variable.
+/// The span of the variable at a slot.
 fn variable(variables: &[Variable], slot: Slot) -> Option<Span> {
     let (Slot::Task(at) | Slot::Local(at)) = slot;
     variables.get(usize::from(at)).map(|variable| variable.span)
 }
 
-/// Reports an expression such as `p.x(t)` if no statement of its thread can bring the value (D93).
+/// Reports an expression such as `p.x(t)` if no statement of its thread can set the value (D93).
 fn unasked(
     hir: &Hir,
     captures: &[Capture],
@@ -140,7 +141,8 @@ pub(super) fn answers_later(task: &Task, id: PortId) -> bool {
     )
 }
 
-/// Whether the message needs no answer here: it is an answer itself, or a port of usage `reply` may carry the answer (D11).
+/// Whether the message needs no answer from this task: the message is an answer itself, or a port of usage `reply` may
+/// carry the answer (D11).
 pub(super) fn answered_by_others(hir: &Hir, at: TaskId, port: &Port) -> bool {
     if port.usage == Usage::Reply {
         return true;

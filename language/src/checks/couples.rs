@@ -29,8 +29,7 @@ fn joins(port: &Port, a: TaskId, b: TaskId) -> bool {
     port.usage_of(a).is_some() && port.peers(a).any(|peer| peer == b)
 }
 
-/// The tasks of `among` that are joined to `from` by ports for which `like` is true, directly or through other
-/// tasks.
+/// The tasks of `among` that ports for which `like` is true join to `from`, directly or through other tasks.
 fn reached(hir: &Hir, from: TaskId, among: &[TaskId], like: impl Fn(&Port) -> bool) -> Vec<TaskId> {
     let mut known = vec![from];
     let mut at = 0;
@@ -47,8 +46,8 @@ fn reached(hir: &Hir, from: TaskId, among: &[TaskId], like: impl Fn(&Port) -> bo
     known
 }
 
-/// Reports values that no heartbeat carries. In a one-way couple only the primary's answers carry values, and only the
-/// standby reads them (D61, D78).
+/// Reports values that a program publishes although no heartbeat carries them. In a one-way couple only the primary's
+/// answers carry values, and only the standby reads them (D61, D78).
 fn heartbeats(hir: &Hir, couple: &Couple, [primary, standby]: [TaskId; 2], found: &mut Vec<Diagnostic>) {
     let (from, to) = (&task(hir, primary).name, &task(hir, standby).name);
     let mut say = |span, message: String, label: &str| {
@@ -90,7 +89,7 @@ fn tight(hir: &Hir, couple: &Couple, tasks: &[TaskId], found: &mut Vec<Diagnosti
     }
 }
 
-/// Checks that the second task of a `serial` couple waits for the first, by a `waitfor` or by class-2 messages.
+/// Checks that the second task of a `serial` couple waits for the first task, by a `waitfor` or by class-2 messages.
 fn serial(hir: &Hir, couple: &Couple, [first, second]: [TaskId; 2], found: &mut Vec<Diagnostic>) {
     let all: Vec<TaskId> = (0..hir.tasks.len()).map(TaskId::from_index).collect();
     if reached(hir, first, &all, |port| port.class == Class::Command).contains(&second) {
@@ -182,7 +181,8 @@ fn ends(hir: &Hir, couple: &Couple, [primary, standby]: [TaskId; 2], found: &mut
     );
 }
 
-/// Whether tasks use the port in statements. Heartbeats are exchanged by the communication tasks.
+/// Whether tasks use the port in statements. A port that only carries heartbeats is not used by tasks: the communication
+/// tasks exchange heartbeats.
 pub(super) fn is_used_by_tasks(hir: &Hir, id: PortId) -> bool {
     !messages::carries_heartbeats(hir, id)
 }

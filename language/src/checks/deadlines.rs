@@ -1,9 +1,9 @@
-//! Checks that time_outs cover the link delays and the work of an answer.
+//! Checks that time_outs cover the link delays, and the work that an answer takes.
 //!
 //! A time_out that is certainly too short is an error. Each link subtracts its whole delay from a message's TTL (D20). The
-//! delay back to the sender is reserved (D18). No answer comes before the actions in front of it end. A node may act up to a
-//! tick late, but need not (D42). If a time_out is too short only when nodes act late and actions are slow, that is a
-//! warning (D99).
+//! delay of the answer's way back is reserved (D18). No answer comes before the actions that precede it end. A node may act
+//! up to a tick late, but need not (D42). If a time_out is too short only when nodes act late and actions are slow, that is
+//! a warning (D99).
 
 use super::messages::{carries_heartbeats, senders, sends_to};
 use super::work::{self, Work};
@@ -41,8 +41,8 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
 }
 
 /// The least time_out of a port in microseconds, a whole number of ticks, that no check reports: neither E206 (too few
-/// ticks), E201 (shorter than delays and work) nor W318 (too short if nodes act late). With `of`, only messages with that
-/// time_out count.
+/// ticks), E201 (shorter than delays and work) nor W318 (too short if nodes act late). With `of`, only messages with the
+/// time_out `of` count.
 pub(crate) fn least(hir: &Hir, id: PortId, of: Option<Duration>) -> u64 {
     let tick = tick(hir);
     let port = &hir.ports[id.index()];
@@ -58,8 +58,8 @@ pub(crate) fn least(hir: &Hir, id: PortId, of: Option<Duration>) -> u64 {
     least.max(tick.saturating_mul(LEAST_TICKS))
 }
 
-/// The least time_out of a `waitfor`: more than its margin and the longest delay between members (D56). Without a `resend` of
-/// its own the margin grows with the time_out.
+/// The least time_out of a `waitfor`: more than its margin and the longest delay between members (D56). If the port
+/// declares no `resend`, the margin grows with the time_out.
 fn meeting(hir: &Hir, port: &Port) -> u64 {
     let tick = tick(hir);
     let parties: Vec<TaskId> = std::iter::once(port.owner).chain(port.peers(port.owner)).collect();
@@ -83,8 +83,8 @@ fn meeting(hir: &Hir, port: &Port) -> u64 {
     least
 }
 
-/// Most iterations of the search for the least time_out of a `waitfor`. The margin grows with the time_out; even one for 255
-/// losses has converged by then.
+/// Most iterations of the search for the least time_out of a `waitfor`. The margin grows with the time_out; even a margin
+/// for 255 losses has converged after so many iterations.
 const ROUNDS: usize = 10_000;
 
 /// The first whole tick after a time.
@@ -96,7 +96,7 @@ fn tick(hir: &Hir) -> u64 {
     hir.tick.map_or(1, |tick| tick.usec.max(1))
 }
 
-/// The time_out of the messages that `from` sends on the port.
+/// The time_out of the messages that `from` sends on this port.
 fn ttl(port: &Port, from: TaskId) -> Option<Duration> {
     port.user(from).and_then(|user| user.time_out).or(port.time_out)
 }
@@ -118,14 +118,13 @@ impl Need {
         if self.answered { 2 } else { 1 }
     }
 
-    /// The time that message and answer take in any case. A time_out must be longer, or it ends before the
-    /// answer every time.
+    /// The time that message and answer take in any case. A shorter time_out always ends before the answer comes.
     fn certain(&self) -> u64 {
         self.way.saturating_mul(self.ways()).saturating_add(self.work.least)
     }
 
-    /// The time that message and answer may take without faults: each node on the route acts a tick late, and the actions
-    /// are slow.
+    /// The time that message and answer may take without faults: in the worst case each node on the route acts a tick late,
+    /// and the actions are slow.
     fn enough(&self, hir: &Hir) -> u64 {
         let ticks = self.links.saturating_mul(tick(hir));
         let way = self.way.saturating_add(ticks).saturating_mul(self.ways());
@@ -165,7 +164,7 @@ fn needs(hir: &Hir, id: PortId) -> Vec<Need> {
                 continue;
             }
             let answered = port.class == Class::Command && port.usage != Usage::Reply;
-            // Communication tasks answer heartbeats themselves (D61). A task that is never asked has no work.
+            // Communication tasks answer heartbeats themselves (D61). A task to which no task sends a message has no work.
             let works = answered && !carries_heartbeats(hir, id) && sends_to(hir, id, from, to);
             let work = if works { work::of(hir, to, id) } else { Work::default() };
             needs.push(Need { from, to, way: delay(hir, &links), links: links.len() as u64, answered, work });
@@ -179,7 +178,7 @@ fn delay(hir: &Hir, links: &[usize]) -> u64 {
     links.iter().fold(0, |sum: u64, &link| sum.saturating_add(hir.links[link].delay.usec))
 }
 
-/// The diagnostic for a time_out or a `within` that is too short for messages with these needs.
+/// The diagnostic for a time_out, or for a `within`, that is too short for messages with these needs.
 fn too_short(hir: &Hir, port: &Port, ttl: Duration, needs: &[&Need]) -> Option<Diagnostic> {
     let enough = needs.iter().map(|need| need.enough(hir)).max()?;
     let tick = tick(hir);

@@ -35,7 +35,7 @@ fn unreachable(statements: &[Statement], found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// The first four bytes of a statement: the diagnostic points only at its beginning.
+/// The span of the first four bytes of a statement, because the diagnostic points only at its beginning.
 fn head(statement: &Statement) -> crate::Span {
     crate::Span { start: statement.span.start, end: statement.span.end.min(statement.span.start + 4) }
 }

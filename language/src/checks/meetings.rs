@@ -1,4 +1,4 @@
-//! Checks `waitfor` (§4.3): every member comes, all in one order, and each can give up.
+//! Checks `waitfor` (§4.3): every member comes to each meeting, all in one order, and each member can give up.
 
 use super::{is_draft, ring, task, tasks};
 use crate::ast::BranchKind;
@@ -26,7 +26,7 @@ fn members(port: &Port) -> impl Iterator<Item = TaskId> + '_ {
     std::iter::once(port.owner).chain(port.users.iter().map(|user| user.task))
 }
 
-/// The span that names a member: in the `user_list`, or the owner's port.
+/// The span that names a member of a `waitfor`: in the `user_list`, or at the owner's port.
 fn named(port: &Port, member: TaskId) -> Span {
     port.user(member).map_or(port.span, |user| user.listed)
 }
@@ -54,7 +54,7 @@ fn everybody_comes(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnosti
     }
 }
 
-/// Reports members that reach a `waitfor` only on some condition, if another member always reaches it.
+/// Reports members that reach a `waitfor` only under some condition, if another member always reaches it.
 fn on_no_condition(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
     let mut always = Vec::new();
     let mut sometimes = Vec::new();
@@ -101,7 +101,7 @@ fn can_give_up(hir: &Hir, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// Reports members that come to two meetings in different orders, because they would wait for each other.
+/// Reports members that come to two meetings in different orders: these members would wait for each other.
 fn in_one_order(hir: &Hir, found: &mut Vec<Diagnostic>) {
     let mut orders: Vec<Order> = Vec::new();
     for (id, task) in tasks(hir).filter(|(_, task)| !is_draft(task)) {
@@ -121,7 +121,7 @@ fn in_one_order(hir: &Hir, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// A meeting before another one, the task that comes to them in this order, and where it waits for the second.
+/// One meeting and a later one (by port), the task that comes to them in this order, and where it waits for the later one.
 type Order = ((usize, usize), TaskId, Span);
 
 fn crossed(hir: &Hir, orders: &[Order], ring: &[usize], found: &mut Vec<Diagnostic>) {

@@ -1,4 +1,5 @@
-//! Checks messages: a task receives them, no tasks ask each other in a ring, and requests have a branch for a bad end.
+//! Checks messages: a task must receive each message, no tasks may ask each other in a ring, and each request should have a
+//! branch for a bad outcome.
 
 use super::{is_draft, ring, task, tasks, time};
 use crate::ast::BranchKind;
@@ -46,7 +47,7 @@ fn receivers(port: &Port) -> impl Iterator<Item = TaskId> + '_ {
     parties(port).filter(move |&task| receives(port.usage_of(task)))
 }
 
-/// The first statement of `from` that sends through the port, and to `to` if that is given.
+/// The first statement of `from` that sends through the port. If `to` is given, the statement must send to that task.
 fn sending(hir: &Hir, id: PortId, from: TaskId, to: Option<TaskId>) -> Option<&Statement> {
     let mut first = None;
     walk::of_task(task(hir, from), &mut |statement| {
@@ -114,8 +115,8 @@ fn is_received(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) 
     }
 }
 
-/// Reports a buffer smaller than the number of senders of class-2 messages, because it may refuse one (D21). Of a couple only
-/// one task sends at a time.
+/// Reports a buffer smaller than the number of senders of class-2 messages, because such a buffer may refuse a message
+/// (D21). Of the two tasks of a couple, only one sends at a time.
 fn has_room(hir: &Hir, port: &Port, found: &mut Vec<Diagnostic>) {
     let number = senders(port).filter(|&from| !is_draft(task(hir, from))).count();
     let commands = port.class == Class::Command && port.usage == Usage::Receive;
@@ -132,8 +133,8 @@ fn has_room(hir: &Hir, port: &Port, found: &mut Vec<Diagnostic>) {
     );
 }
 
-/// Reports work during which a class-2 message may expire. A `receive` takes the message only after the work in front
-/// of it. A handler is offered the message again until it interrupts (D58), but `atomic` prevents that.
+/// Reports work during which a class-2 message may expire. A `receive` takes the message only after the work that precedes
+/// the `receive`. A handler is offered the message again until it interrupts (D58), but `atomic` prevents that.
 fn has_time(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
     if port.class != Class::Command {
         return;
@@ -218,7 +219,7 @@ fn penalty(port: &Port, paper: bool, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// Reports tasks that ask each other in a ring: none can answer while it waits.
+/// Reports tasks that ask each other in a ring: none of them can answer while it waits.
 fn rings(hir: &Hir, found: &mut Vec<Diagnostic>) {
     let mut calls: Vec<Call> = Vec::new();
     for (at, port) in hir.ports.iter().enumerate().filter(|(_, port)| port.class == Class::Command) {
@@ -240,7 +241,7 @@ fn rings(hir: &Hir, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// A request that is certainly made: its sender, its receiver, the port and the span.
+/// A request that a task makes on every path: its sender, its receiver, the port and the span.
 type Call = (TaskId, TaskId, PortId, crate::Span);
 
 fn asking(hir: &Hir, calls: &[Call], ring: &[usize], found: &mut Vec<Diagnostic>) {
@@ -259,7 +260,7 @@ fn asking(hir: &Hir, calls: &[Call], ring: &[usize], found: &mut Vec<Diagnostic>
     found.push(report.help("answer with a handler (`on query ..`): it runs while its task waits"));
 }
 
-/// The statement with which a task certainly asks another one.
+/// The statement with which a task asks another task on every path.
 fn certain_call(hir: &Hir, id: PortId, from: TaskId, to: TaskId) -> Option<crate::Span> {
     let mut place = None;
     walk::certain(&task(hir, from).body, &mut |statement| {

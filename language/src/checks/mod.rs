@@ -23,11 +23,11 @@ use crate::diagnostic::Diagnostic;
 use crate::hir::{Hir, Task};
 use imrs_protocol::TaskId;
 
-/// The least time_out in ticks. A shorter one can be used up by the lateness of timers alone (D42).
+/// The least time_out in ticks. A shorter time_out can be used up by the lateness of timers alone (D42).
 const LEAST_TICKS: u64 = 4;
 
-/// All findings in a cell whose names and types are right, in the order of the text. With `paper` a `waitfor` needs no
-/// branch, as in the paper (D2).
+/// All findings in a cell whose names and types are right, in the order of the text. With `paper`, a `waitfor` needs no
+/// branch for its time_out, as in the paper (D2).
 pub(crate) fn all(hir: &Hir, paper: bool) -> Vec<Diagnostic> {
     let mut found = Vec::new();
     meetings::check(hir, paper, &mut found);
@@ -43,7 +43,7 @@ pub(crate) fn all(hir: &Hir, paper: bool) -> Vec<Diagnostic> {
     found
 }
 
-/// Whether a task has no statements and handlers yet: only its declarations are checked.
+/// Whether a task has no statements and handlers yet. Of such a task, only the declarations are checked.
 fn is_draft(task: &Task) -> bool {
     !task.is_extern && task.body.is_empty() && task.handlers.is_empty() && task.takeover.is_none()
 }
@@ -56,7 +56,7 @@ fn tasks(hir: &Hir) -> impl Iterator<Item = (TaskId, &Task)> {
     hir.tasks.iter().enumerate().map(|(at, task)| (TaskId::from_index(at), task))
 }
 
-/// A duration in its largest whole unit.
+/// A duration as text, in its largest whole unit.
 fn time(usec: u64) -> String {
     if usec.is_multiple_of(1_000_000) && usec > 0 {
         format!("{} sec", usec / 1_000_000)

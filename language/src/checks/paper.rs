@@ -27,7 +27,7 @@ pub(crate) fn paper(file: &File, source: &Source) -> Vec<Diagnostic> {
                 .help(help),
         );
     };
-    // This reports nothing, because the text was parsed before.
+    // Lexing reports no errors here, because the text was parsed before.
     for (kind, span) in lex(source.text(), &mut Report::default()).tokens {
         let text = source.slice(span);
         if matches!(kind, Kind::Word(_)) && Word::short_unit(text).is_some() {

@@ -1,4 +1,5 @@
-//! Reports handlers in a task without an `order`: `self` ranks first there, which is seldom what is meant (D46, D58, D93).
+//! Reports handlers in a task that has no `order`: in such a task `self` ranks first, which is seldom meant (D46, D58,
+//! D93).
 
 use super::carries_heartbeats;
 use crate::codes::UNRANKED;
@@ -21,12 +22,12 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// Whether handlers are offered messages of the port.
+/// Whether messages of this port are offered to handlers.
 fn is_offered(hir: &Hir, port: PortId) -> bool {
     hir.ports[port.index()].usage != Usage::Reply && !carries_heartbeats(hir, port)
 }
 
-/// The first statement during which the thread has its own rank: one that waits, but is no `receive`.
+/// The first statement during which the thread has its own rank: a statement that waits, but is no `receive`.
 fn busy<'h>(hir: &Hir, task: &'h Task) -> Option<&'h Statement> {
     let mut first = None;
     for body in [Some(&task.body), task.takeover.as_ref()].into_iter().flatten() {

@@ -1,6 +1,6 @@
 //! Finds rings (cycles) in directed graphs.
 
-/// How many rings are searched for at most.
+/// The greatest number of rings for which one search looks.
 const MOST: usize = 10;
 
 /// Rings among `size` vertices with these edges, the shortest first. No two rings share an edge.
@@ -16,12 +16,12 @@ pub(super) fn all(size: usize, edges: &[(usize, usize)]) -> Vec<Vec<usize>> {
     rings
 }
 
-/// The shortest ring; of several, the one with the least first vertex.
+/// The shortest ring. If there are several, the ring with the least first vertex.
 fn shortest(size: usize, edges: &[(usize, usize)]) -> Option<Vec<usize>> {
     (0..size).filter_map(|start| back_to(start, size, edges)).min_by_key(Vec::len)
 }
 
-/// The shortest ring that leads from the vertex `start` through vertices of greater number back to `start`.
+/// The shortest ring that leads from the vertex `start` through vertices with greater numbers back to `start`.
 fn back_to(start: usize, size: usize, edges: &[(usize, usize)]) -> Option<Vec<usize>> {
     let mut from: Vec<Option<usize>> = vec![None; size];
     let mut at = vec![start];

@@ -6,11 +6,11 @@ use crate::diagnostic::Diagnostic;
 use crate::hir::{Hir, Port};
 use imrs_protocol::{Class, NodeId, PortId, TaskId};
 
-/// In a time_out of fewer ticks than this, the lateness of one tick matters.
+/// If a time_out has fewer ticks than this, the lateness of one tick matters.
 const FEW_TICKS: u64 = 20;
 /// The bits of a packet on the wire: 32 bytes, its envelope, IP and UDP, Ethernet and the gap.
 const BITS: f64 = 138.0 * 8.0;
-/// A load of a link above this, in bits per second, is reported.
+/// A load of a link above this value, in bits per second, is reported.
 const PLENTY: f64 = 100e6;
 
 pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {

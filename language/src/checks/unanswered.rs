@@ -1,4 +1,4 @@
-//! Paths on which a message of class 2 stays unanswered: a data-flow analysis over the statements of one thread.
+//! Finds paths on which a message of class 2 stays unanswered: a data-flow analysis over the statements of one thread.
 
 use crate::hir::{Answered, Capture, Captured, Expr, Statement, StatementKind};
 use crate::walk::{self, is_true};
@@ -14,8 +14,8 @@ pub(super) enum Question<'h> {
     Of(&'h Statement, PortId),
 }
 
-/// Whether some path forgets the message. Such a path leads to the next `receive` of its port, to the end of the thread, or
-/// into an endless loop, and no `reply` on it answers the message.
+/// Whether some path forgets the message. Such a path leads to the next `receive` of the message's port, to the end of the
+/// thread, or into an endless loop, and no `reply` on it answers the message.
 pub(super) fn forgets(body: &[Statement], captures: &[Capture], question: Question<'_>) -> bool {
     let mut paths = Paths { question, tells: tells(question, captures), forgets: false };
     let from = match question {
@@ -26,8 +26,8 @@ pub(super) fn forgets(body: &[Statement], captures: &[Capture], question: Questi
     paths.forgets || end.unanswered()
 }
 
-/// The variables from which the thread can tell whether it has the message: the saved `received`, and if the `receive` can
-/// fail, the saved `outcome` and the variables that its branches assign. A handler always has its message.
+/// The variables from which the thread can tell whether it has the message: the saved `received`. If the `receive` can
+/// fail, also the saved `outcome` and the variables that its branches assign. A handler always has its message.
 fn tells(question: Question<'_>, captures: &[Capture]) -> Vec<Slot> {
     let Question::Of(receive, _) = question else { return Vec::new() };
     let fails = !receive.branches.is_empty();
@@ -48,11 +48,11 @@ fn tells(question: Question<'_>, captures: &[Capture]) -> Vec<Slot> {
 /// The states that the message can have at one point of the thread, over all paths to that point.
 #[derive(Clone, Copy, Default, PartialEq, Eq)]
 struct States {
-    /// The thread does not have the message: it is not taken yet, or it is answered.
+    /// The thread does not have the message: the thread has not received it yet, or has answered it.
     none: bool,
-    /// The message was received last: a `reply` answers it.
+    /// The thread received the message last: a `reply` answers this message.
     open: bool,
-    /// The thread has received another message since: a `reply` answers that one.
+    /// The thread has received another message since: a `reply` answers the later message.
     buried: bool,
 }
 
@@ -77,7 +77,7 @@ impl States {
     }
 }
 
-/// The states of the message where paths leave some statements: at their end, or by `exit`.
+/// The states of the message where paths leave some statements: at the end of the statements, or by `exit`.
 #[derive(Clone, Copy, Default)]
 struct Left {
     next: States,
@@ -112,7 +112,7 @@ impl Paths<'_> {
     }
 
     fn through(&mut self, statement: &Statement, from: States) -> Left {
-        // No path comes here. Without this return, a `receive` behind `abort` would count as taking messages.
+        // No path reaches this statement. Without this return, a `receive` behind `abort` would count as taking messages.
         if !from.any() {
             return Left::default();
         }
@@ -127,16 +127,16 @@ impl Paths<'_> {
             StatementKind::Loop(body) => self.endless(body, from),
             StatementKind::While(condition, body) if is_true(condition) => self.endless(body, from),
             StatementKind::While(_, body) => {
-                // The result joins two cases: the body does not run, or it runs once. Further passes are left out,
-                // because the condition may ask whether the message is still there.
+                // The result joins two cases: the body does not run, or it runs once. Further passes are left out, because
+                // the condition may ask whether the thread still has the message.
                 let once = self.through_all(body, from);
                 Left::by_end(from.or(once.next).or(once.exit))
             }
             StatementKind::If { arms, otherwise } => self.choice(arms, otherwise, from),
             _ => Left::by_end(from),
         };
-        // A `reply` fails if there is nothing to answer, so its branches begin without the message. The branches of other
-        // statements begin in the states before the statement.
+        // A `reply` fails if there is no message to answer, so its branches begin without the message. The branches of
+        // other statements begin in the states before the statement.
         let failed = match statement.kind {
             StatementKind::Reply { .. } => left.next,
             _ => from,
@@ -194,7 +194,7 @@ impl Paths<'_> {
         all
     }
 
-    /// Whether a condition asks if the message is there.
+    /// Whether a condition asks if the thread has the message.
     fn asks(&self, condition: &Expr) -> bool {
         condition.ops.iter().any(|op| matches!(op, Op::Term(Term::Load(slot)) if self.tells.contains(slot)))
     }

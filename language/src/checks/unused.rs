@@ -20,7 +20,7 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// Reports a task without statements and handlers if others send to it or wait for it.
+/// Reports a task without statements and handlers if other tasks send to it or wait for it.
 fn nothing(hir: &Hir, id: TaskId, found: &mut Vec<Diagnostic>) {
     let task = task(hir, id);
     if !is_draft(task) {
@@ -111,7 +111,7 @@ fn variables(hir: &Hir, id: TaskId, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// The variables that the file names, each with the positions of its fields.
+/// The variables that the file names. For each, the positions of its fields.
 fn named(task: &Task) -> BTreeMap<&str, Vec<usize>> {
     let mut named: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     for (at, variable) in task.variables.iter().enumerate() {

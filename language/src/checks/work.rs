@@ -1,23 +1,23 @@
 //! Computes how long an answer takes at its receiver: the time from the arrival of a message to its answer, as far as the
-//! statements in between declare it.
+//! statements between the two declare it.
 
 use crate::hir::{Answered, Hir, Statement, StatementKind, Task, Trigger};
 use imrs_protocol::{Class, PortId, TaskId, Usage};
 use std::cell::Cell;
 
-/// How many statements one search visits at most.
+/// The greatest number of statements that one search visits.
 const STEPS: u32 = 100_000;
-/// How many answers may wait for each other in a chain. An answer further down the chain counts as taking no
-/// time.
+/// The greatest number of answers in a chain in which each waits for the next. An answer further down the chain counts as
+/// taking no time.
 const DEEPEST: usize = 8;
 
 /// The least time between a message's arrival in a task and its answer, in microseconds, on the quickest path through the
-/// statements. Zero if no path is known: for answers that come later, from other tasks or from a Rust program.
+/// statements. Zero if no path is known: for answers that a task gives later, from other tasks or from a Rust program.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Work {
-    /// With each `run` as quick as declared: no answer comes sooner.
+    /// The time if each `run` is as quick as declared: no answer comes sooner.
     pub least: u64,
-    /// With each `run` as slow as declared: an answer may take this long, whatever the values are.
+    /// The time if each `run` is as slow as declared: an answer may take this long, whatever the values are.
     pub slow: u64,
 }
 
@@ -26,7 +26,7 @@ pub(super) fn of(hir: &Hir, task: TaskId, port: PortId) -> Work {
     let search = |slow| {
         let steps = Cell::new(STEPS);
         let answer = Search { hir, slow, depth: 0, steps: &steps }.answer(task, port);
-        // A search that ran out of steps may have missed a quicker path.
+        // If the search ran out of steps, it may have missed a quicker path.
         answer.filter(|_| steps.get() > 0).unwrap_or_default()
     };
     Work { least: search(false), slow: search(true) }
@@ -38,21 +38,22 @@ struct Search<'h> {
     hir: &'h Hir,
     /// Whether actions are as slow as declared.
     slow: bool,
-    /// How many answers wait for the one of this search.
+    /// How many answers wait, in a chain, for the answer of this search.
     depth: usize,
     /// How many statements may still be visited. Nested loops are visited again and again.
     steps: &'h Cell<u32>,
 }
 
-/// The least time for which a message has been open at a point; none if no path reaches the point with an open message.
+/// The least time for which a message has been open at some point of the statements; `None` if no path reaches the point
+/// with an open message.
 type Open = Option<u64>;
 
-/// The times at which paths leave statements: at the end, by `exit`, or with an answer.
+/// The times at which paths leave statements: at their end, by `exit`, or with an answer.
 #[derive(Clone, Copy, Default)]
 struct Left {
     next: Open,
     exit: Open,
-    /// The quickest answer.
+    /// The time of the quickest answer.
     answer: Open,
 }
 
@@ -132,13 +133,13 @@ impl Search<'_> {
             kind => plain(from.map(|open| open.saturating_add(self.takes(kind)))),
         };
         for branch in &statement.branches {
-            // A statement may fail at once, so its branches begin without its time.
+            // A statement may fail at once, so its branches begin without the statement's own time.
             left = either(left, self.statements(&branch.body, from, receives));
         }
         left
     }
 
-    /// Follows the paths through the body of a loop. Such a path begins at the start of the loop or at the end of its
+    /// Follows the paths through the body of a loop. A path enters the body from before the loop, or from the end of the
     /// body.
     fn turned(self, body: &[Statement], from: Open, receives: Option<PortId>) -> Left {
         let once = self.statements(body, from, receives);
@@ -146,8 +147,8 @@ impl Search<'_> {
         if head == from { once } else { self.statements(body, head, receives) }
     }
 
-    /// How long a statement takes at least if it succeeds. Packets in flight count for nothing: the delay of a link is an
-    /// upper bound.
+    /// The least time that a statement takes if it succeeds. Packets in flight count as taking no time: the delay of a link
+    /// is only an upper bound.
     fn takes(self, kind: &StatementKind) -> u64 {
         match kind {
             StatementKind::Run { takes, .. } => {
@@ -166,7 +167,7 @@ impl Search<'_> {
                     matches!(declared.usage_of(task), Some(Usage::Receive | Usage::Response))
                 });
                 let deeper = Self { depth: self.depth + 1, ..self };
-                // For any recipients, the receiver that can answer most quickly counts.
+                // If a message goes to any of several receivers, the receiver that can answer most quickly counts.
                 answers.map(|task| deeper.answer(task, *port).unwrap_or_default()).min().unwrap_or_default()
             }
             _ => 0,

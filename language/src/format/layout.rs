@@ -21,7 +21,7 @@ struct Blocks {
     in_head: bool,
 }
 
-/// Writes the pieces, with their line breaks.
+/// Writes the pieces of a file, with their line breaks.
 pub(super) fn lay_out(pieces: &[Piece<'_>]) -> String {
     let mut out = String::new();
     let mut blocks = Blocks::default();
@@ -29,7 +29,7 @@ pub(super) fn lay_out(pieces: &[Piece<'_>]) -> String {
     let mut aligner = Aligner::default();
     for (index, piece) in pieces.iter().enumerate() {
         let is_comment = matches!(piece.what, What::LineComment | What::BlockComment);
-        // What follows a `//` comment must not become a part of it.
+        // The piece behind a `//` comment must not become a part of the comment.
         let least = usize::from(index > 0 && pieces[index - 1].what == What::LineComment);
         let breaks = if out.is_empty() { 0 } else { piece.breaks.clamp(least, 2) };
         if breaks > 0 || out.is_empty() {

@@ -4,7 +4,7 @@ use super::What;
 use crate::lexer::Kind;
 use crate::words::Word;
 
-/// The state that the tokens so far leave, for the decision whether a space follows.
+/// What the tokens written so far imply for the space before the next one.
 #[derive(Default)]
 pub(super) struct Spacing {
     last: Option<What>,
@@ -42,7 +42,7 @@ impl Spacing {
                 What::Sign(Kind::ParenOpen | Kind::BraceOpen | Kind::BracketOpen | Kind::Dot | Kind::DotDot),
                 _,
             ) => true,
-            // `- -x`: without the space the two would form a `--`.
+            // In `- -x` the two signs would form a `--` without the space.
             (What::Sign(Kind::Minus), What::Sign(Kind::Minus)) => false,
             (What::Sign(Kind::Minus), _) if self.is_unary => true,
             (What::Operand, What::Sign(Kind::ParenOpen)) => true,

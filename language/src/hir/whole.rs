@@ -33,11 +33,11 @@ pub enum CoupleKind {
         primary: TaskId,
         /// The task that takes over.
         standby: TaskId,
-        /// Whether the two swap roles at a take-over.
+        /// Whether primary and standby swap roles at a take-over.
         mutual: bool,
-        /// How long the primary may act after sending an answer that the standby echoes.
+        /// How long the primary may act after it sent an answer that the standby echoes.
         lease: Duration,
-        /// How long after the last answer the standby takes over.
+        /// How long after the last answer from the primary the standby takes over.
         takeover: Duration,
         /// The period of the heartbeats.
         every: Duration,
@@ -49,13 +49,13 @@ pub enum CoupleKind {
 /// A fault hypothesis: what may go wrong, and how often. The checker tries each hypothesis on its own.
 #[derive(Clone, Debug, Default)]
 pub struct Faults {
-    /// Lost packets.
+    /// The number of packets that are lost.
     pub loss: u8,
-    /// Packets that arrive twice.
+    /// The number of packets that arrive twice.
     pub dup: u8,
-    /// Actions that fail.
+    /// The number of actions that fail.
     pub fail: u8,
-    /// Ticks that a clock leaves out or counts twice.
+    /// The number of ticks that a clock leaves out or counts twice.
     pub drift: u8,
     /// Nodes that crash, one entry for each crash.
     pub crash: Vec<NodeId>,
@@ -72,7 +72,8 @@ pub struct Faults {
 pub struct Pause {
     /// The paused node.
     pub node: NodeId,
-    /// The pause's longest duration. Without one it lasts until every time_out and take-over that began before it has passed.
+    /// The pause's longest duration. Without one the pause lasts until every time_out and take-over that began before it
+    /// has passed.
     pub most: Option<Duration>,
 }
 
@@ -87,20 +88,20 @@ pub struct Check {
     pub span: Span,
 }
 
-/// A kind of property. Its expressions are those of the script machine, with `Term::Of` and `Term::Is` (D45).
+/// A kind of property. The expressions are those of scripts, with `Term::Of` and `Term::Is` (D45).
 #[derive(Clone, Debug)]
 pub enum CheckKind {
-    /// True in every state.
+    /// The expression is true in every state.
     Always(Expr),
-    /// True in no state.
+    /// The expression is true in no state.
     Never(Expr),
     /// Whenever `when` is true, `then` is true at the same time or within `within`.
     Leads {
         /// The premise of the property.
         when: Expr,
-        /// The consequence, which must follow in time.
+        /// The consequence, which must become true in time.
         then: Expr,
-        /// The time limit.
+        /// The longest time from the premise to the consequence.
         within: Duration,
     },
 }

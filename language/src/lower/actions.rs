@@ -31,8 +31,8 @@ impl Action {
 }
 
 impl Uses {
-    /// Records a statement and returns the number of its action. A statement that runs the action with another result
-    /// type or range gets another number for the same name, because a result may be allowed in one statement and
+    /// Records a statement and returns the number of its action. If another statement runs the action with another result
+    /// type or range, the same name gets another number, because a result may be allowed in one of the statements and
     /// forbidden in the other.
     pub fn add(
         &mut self,
@@ -53,7 +53,7 @@ impl Uses {
         action
     }
 
-    /// The actions of the program, in its order.
+    /// The actions of the program, in the order of their numbers.
     pub fn actions(&self, hir: &Hir, task: TaskId, program: &Program) -> Vec<Action> {
         let named = (0..).zip(&program.actions);
         named.map(|(at, name): (u16, _)| self.action(at, name, hir, task, program)).collect()
@@ -104,8 +104,8 @@ fn exprs(hir: &Hir) -> impl Iterator<Item = &Expr> {
     })
 }
 
-/// Adds the values on both sides of each constant with which the variable is compared. For a real constant these are the
-/// bits of the next smaller and the next greater real, as a driver returns them.
+/// Adds the values on both sides of each constant with which the variable is compared. If the constant is a real, the
+/// values are the bits of the next smaller and the next greater real, as a driver returns them.
 fn both_sides(terms: &[Option<Term>], is: impl Fn(Term) -> bool, reals: bool, into: &mut Vec<i64>) {
     for window in terms.windows(3) {
         let &[Some(a), Some(b), Some(operator)] = window else { continue };
@@ -119,7 +119,8 @@ fn both_sides(terms: &[Option<Term>], is: impl Fn(Term) -> bool, reals: bool, in
             Term::Real(comparison) if reals => comparison,
             _ => continue,
         };
-        // `x > c` and `x <= c` change between c and c + 1, `x < c` and `x >= c` between c - 1 and c, `x = c` at both.
+        // `x > c` and `x <= c` change between c and c + 1, `x < c` and `x >= c` between c - 1 and c, `x = c` changes at
+        // both.
         let (below, above) = match comparison {
             Binary::Greater | Binary::LessOrEqual => (swapped, !swapped),
             Binary::Less | Binary::GreaterOrEqual => (!swapped, swapped),
@@ -145,7 +146,7 @@ fn both_sides(terms: &[Option<Term>], is: impl Fn(Term) -> bool, reals: bool, in
     }
 }
 
-/// The value that a driver returns for a real: its bits, as a signed number. Scripts know one zero, and no infinity.
+/// The value that a driver returns for a real: its bits, as a signed number. Scripts have a single zero, and no infinity.
 fn bits(x: f32) -> i64 {
     let bits = real(x).and_then(|bits| u32::try_from(bits).ok()).unwrap_or(0);
     i64::from(bits.cast_signed())
@@ -157,7 +158,7 @@ fn given(value: i64) -> Option<f32> {
     x.is_finite().then_some(x)
 }
 
-/// Whether a variable is read anywhere but in a comparison with a constant.
+/// Whether a variable is read outside of comparisons with constants.
 fn goes_elsewhere(terms: &[Option<Term>], is: impl Fn(Term) -> bool) -> bool {
     let compares = |window: &[Option<Term>]| {
         let mut into = Vec::new();
@@ -172,11 +173,11 @@ fn goes_elsewhere(terms: &[Option<Term>], is: impl Fn(Term) -> bool) -> bool {
     })
 }
 
-/// How many values from comparisons of other tasks and checks are tried at most.
+/// The greatest number of values from comparisons of other tasks and checks that are added.
 const MOST: usize = 16;
 
-/// If an action's result is read outside of comparisons with constants, adds more values to try: every value with which
-/// any task or check of the cell compares something.
+/// If an action's result is read outside of comparisons with constants, adds more values for the checker to try: every
+/// constant with which any task or check of the cell compares something.
 pub(super) fn try_what_others_compare(hir: &Hir, tasks: &mut [Behaviour]) {
     let any = |term| matches!(term, Term::Load(_) | Term::Of { .. });
     let [wholes, reals] = [false, true].map(|reals| {
@@ -223,7 +224,7 @@ fn values(action: &Action) -> Vec<i64> {
             (_, None) => {}
         }
         values.retain(|&value| {
-            // A driver returns signed 32-bit values.
+            // A driver returns only values of signed 32 bits.
             let comes = i32::try_from(value).is_ok();
             of.holds(value) && comes && action.range.is_none_or(|(low, high)| (low..=high).contains(&value))
         });

@@ -38,7 +38,8 @@ const fn via(kind: &CoupleKind) -> Option<PortId> {
     }
 }
 
-/// Rounds the lease up and the take-over down, so that a checker sees a late end of the lease and an early take-over.
+/// Lowers a work couple. Rounds the lease up and the take-over down, so that a checker sees a late end of the lease and an
+/// early take-over.
 fn couple(kind: &CoupleKind, clock: &mut Clock) -> Option<CoupleDecl> {
     let CoupleKind::Work { primary, standby, mutual, lease, takeover, every, via } = *kind else {
         return None;
@@ -90,7 +91,7 @@ fn port(hir: &Hir, port: &Port, is_heartbeat: bool, clock: &mut Clock) -> PortDe
     }
 }
 
-/// The penalty of a port. By the paper's rules every port has one: if none is declared, a tick (Appendix, `save`).
+/// The penalty of a port. By the paper's rules every port has a penalty: a tick, if none is declared (Appendix, `save`).
 fn penalty(hir: &Hir, port: &Port, clock: &mut Clock) -> Option<Penalty> {
     match (port.penalty, hir.tick) {
         (Some((length, literal)), _) => Some(Penalty { length: clock.bound(length), literal }),
@@ -101,18 +102,18 @@ fn penalty(hir: &Hir, port: &Port, clock: &mut Clock) -> Option<Penalty> {
     }
 }
 
-/// The position of a couple among the work couples.
+/// The position of a couple among the work couples of the cell.
 fn guard(hir: &Hir, couple: usize) -> Option<u8> {
     let before = hir.couples.get(..couple)?.iter().filter(|couple| via(&couple.kind).is_some());
     u8::try_from(before.count()).ok()
 }
 
-/// The layout of these fields.
+/// The layout of a message with these fields.
 pub(super) fn format(fields: &[Field]) -> Format {
     Format { fields: fields.iter().map(|field| field.of).collect() }
 }
 
-/// What both ends must agree on: names and types of the fields, part of the port's hash (D47).
+/// What both ends of a port must agree on: names and types of the fields. This text is part of the port's hash (D47).
 fn description(hir: &Hir, port: &Port) -> String {
     let mut text = String::new();
     if let Some(record) = port.record.and_then(|record| hir.records.get(record)) {

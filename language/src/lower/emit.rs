@@ -7,10 +7,10 @@ use imrs_protocol::script::{Label, Op, Outcomes, Program, ProgramBuilder, Progra
 pub(super) struct Emitter {
     pub builder: ProgramBuilder,
     pub spans: Vec<Span>,
-    /// The span of the operations that come next.
+    /// The span of the operations that are emitted next.
     pub at: Span,
-    /// The `abort` operations to which the current thread jumps. [`flush`](Self::flush) emits them behind
-    /// that thread.
+    /// The `abort` operations to which the current thread jumps. [`flush`](Self::flush) emits these operations behind the
+    /// thread.
     aborts: Vec<(Label, String, Span)>,
 }
 
@@ -58,14 +58,14 @@ impl Emitter {
         self.spans.push(self.at);
     }
 
-    /// Ends the task if the last statement has one of these outcomes.
+    /// Emits a jump that ends the task if the last statement has one of these outcomes.
     pub fn abort_on(&mut self, outcomes: Outcomes, reason: String) {
         let label = self.label();
         self.on(outcomes, label);
         self.aborts.push((label, reason, self.at));
     }
 
-    /// Emits the aborts to which the current thread jumps.
+    /// Emits the `abort` operations to which the current thread jumps.
     pub fn flush(&mut self) {
         for (label, reason, at) in std::mem::take(&mut self.aborts) {
             self.put(label);

@@ -100,8 +100,8 @@ impl Mapping<'_> {
                 format!("must exceed {needs}: the margin for lost packets, and the link delays"),
             )
         } else {
-            // This error can come only in ticks of the model. In microseconds the static checks have reported it
-            // before, with more detail.
+            // This error can come only in ticks of the model. In microseconds the static checks have already reported the
+            // fault, with more detail.
             (
                 format!("deadline cannot be met: `{name}` takes {needs}, its time_out is {has}"),
                 format!("must exceed {needs}: the links on its route, in ticks"),
@@ -116,7 +116,8 @@ impl Mapping<'_> {
             .help(format!("give it {} or more", self.time(Ticks(more.div_ceil(self.usec)))))
     }
 
-    /// The load that exceeds the message numbers, as text: `60 in 1 msec x 1 at the other end x 200 sec = 12000000 > 2^23`.
+    /// The number of messages that exceeds the sequence numbers, as text: `60 in 1 msec x 1 at the other end x 200 sec =
+    /// 12000000 > 2^23`.
     fn numbers(&self, name: &str) -> String {
         let said = self.port(name).and_then(|port| {
             let ttls = port.users.iter().filter_map(|user| user.time_out).chain(port.time_out);
@@ -157,8 +158,8 @@ impl Mapping<'_> {
 
     fn takeover(&self, couple: &str, takeover: Ticks, least: Ticks) -> Diagnostic {
         let (has, needs) = (self.time(takeover), self.time(least));
-        // The longer the take-over, the more the clocks drift apart meanwhile, and so the longer it must be. After
-        // four repetitions the difference is below a microsecond.
+        // The longer the take-over, the more the clocks drift apart meanwhile, and so the longer the take-over must be.
+        // After four repetitions the difference is below a microsecond.
         let drift = |length| takeover_margin(Ticks::ZERO, length, DRIFT_PPM, Ticks::ZERO, Ticks::ZERO);
         let enough = (0..4).fold(least, |enough, _| least + drift(enough - takeover));
         let whole = enough.0.checked_next_multiple_of((1_000 / self.usec).max(1));
@@ -171,7 +172,8 @@ impl Mapping<'_> {
             ))
     }
 
-    /// `lease 100 msec + 200 msec of grab + 3 msec for the tick and the drift`, if these parts are known.
+    /// The parts of a take-over as text, if they are known: `lease 100 msec + 200 msec of grab + 3 msec for the tick and
+    /// the drift`.
     fn parts(&self, couple: &str, least: Ticks) -> String {
         let known = self.work(couple).and_then(|(span, _)| {
             let (at, lease) =
@@ -224,7 +226,7 @@ impl Mapping<'_> {
         task.map_or_else(|| self.whole(), |task| task.span)
     }
 
-    /// The spans of the lease and the take-over of a couple. Its name is `a -> b`.
+    /// The spans of the lease and the take-over of a couple. The couple's name is `a -> b`.
     fn work(&self, name: &str) -> Option<(Span, Span)> {
         self.hir.couples.iter().find_map(|couple| match couple.kind {
             CoupleKind::Work { primary, standby, lease, takeover, .. } => {
@@ -246,7 +248,7 @@ impl Mapping<'_> {
     }
 }
 
-/// The longer of two times: the table's least and a tick, or the least that all checks accept.
+/// The longer of two times: the least time of the table and a tick, or the least time that all checks accept.
 fn needs_more(least: u64, enough: u64, hir: &Hir) -> u64 {
     let tick = hir.tick.map_or(1, |tick| tick.usec.max(1));
     enough.max(least.saturating_add(tick))

@@ -50,7 +50,7 @@ pub struct Formats {
     /// The format of messages, or of the values that members bring to a `waitfor`. Empty for heartbeats,
     /// whose layout the protocol sets.
     pub message: Format,
-    /// Answers.
+    /// The format of answers.
     pub answer: Format,
 }
 
@@ -59,7 +59,7 @@ pub struct Formats {
 pub enum Behaviour {
     /// The task runs a script.
     Script(Box<Script>),
-    /// A Rust program, which acts at most this often.
+    /// A Rust program is the behaviour; it acts at most this often.
     Extern(Option<Rate>),
 }
 
@@ -85,12 +85,12 @@ pub struct Action {
     pub arguments: Vec<Type>,
     /// The type of the action's result; none if nothing reads the result.
     pub result: Option<Type>,
-    /// The least and the greatest result.
+    /// The least and the greatest result that is allowed.
     pub range: Option<(i64, i64)>,
-    /// Whether its result is also read outside of comparisons with constants: in a message, a sum, another variable.
+    /// Whether the result is also read outside of comparisons with constants: in a message, a sum, another variable.
     pub travels: bool,
-    /// Results that a checker should try: the ends of the range, and both sides of the constants that the result is compared
-    /// with. If the result travels, also both sides of every constant in the cell's comparisons.
+    /// Results that a checker should try: the ends of the range, and both sides of the constants with which the result is
+    /// compared. If the result travels, also both sides of every constant in the cell's comparisons.
     pub values: Vec<i64>,
 }
 
@@ -117,15 +117,15 @@ pub struct Check {
 /// A kind of property, in terms that [`imrs_protocol::script::eval`] evaluates.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum CheckKind {
-    /// True in every state.
+    /// The terms are true in every state.
     Always(Vec<Term>),
     /// Whenever `when` is true, `then` is true at the same time or within `within`.
     Leads {
         /// The premise of the property.
         when: Vec<Term>,
-        /// The consequence, which must follow in time.
+        /// The consequence, which must become true in time.
         then: Vec<Term>,
-        /// The time limit.
+        /// The longest time from the premise to the consequence.
         within: Ticks,
     },
 }

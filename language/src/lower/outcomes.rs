@@ -7,11 +7,12 @@ use crate::resolve::after;
 use imrs_protocol::script::{Binary, Mark, Op, Outcomes, Slot, StatementOutcome, Term, Type};
 use imrs_protocol::{PortId, TaskId};
 
-/// A bad outcome of a statement: the branch for it, and the reason for which the task ends without that branch.
+/// A bad outcome of a statement: the branch for it, and the reason for which the task ends if the statement has no such
+/// branch.
 pub(super) struct Bad {
     branch: Option<BranchKind>,
     outcomes: Outcomes,
-    /// The keyword of the branch; `None` if the task continues without one.
+    /// The keyword of the branch; `None` if the task continues without a branch.
     word: Option<&'static str>,
 }
 
@@ -77,7 +78,7 @@ impl<'h> Writer<'h, '_> {
         }
     }
 
-    /// Saves who answered and who refused, if an expression reads it.
+    /// Saves which tasks answered and which refused, if an expression reads that.
     pub fn keep_answers(&mut self, port: PortId, asked: &[TaskId]) {
         for capture in self.captures {
             let (task, mark, alone) = match capture.what {
@@ -100,7 +101,7 @@ impl<'h> Writer<'h, '_> {
                     self.emit.ops(&[Op::Outcome, push(alone as i64), int(Binary::Equal)]);
                 }
                 several if !several.contains(&task) || bit == 0 => self.emit.op(push(0)),
-                // The highest bit is the sign bit.
+                // The highest bit is the sign bit, so it is set if the mask is negative.
                 _ if bit < 0 => self.emit.ops(&[Op::Mark(mark), push(0), int(Binary::Less)]),
                 _ => self.emit.ops(&[
                     Op::Mark(mark),
@@ -116,8 +117,8 @@ impl<'h> Writer<'h, '_> {
         }
     }
 
-    /// Saves the values that members brought to a waitfor, or that the `asked` tasks answered, if an expression reads them.
-    /// An unknown value is zero.
+    /// Saves the values that members brought to a waitfor, or that the `asked` tasks answered, if an expression reads these
+    /// values. An unknown value is zero.
     pub fn keep_told(&mut self, port: PortId, asked: Option<&[TaskId]>) {
         let declared = &self.hir.ports[port.index()];
         let fields = if asked.is_some() { &declared.answer } else { &declared.message };

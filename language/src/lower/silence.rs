@@ -1,20 +1,20 @@
-//! Lowers `on silence p d when e` to a timer that runs while `e` is true, and that each message of `p` restarts. So an idle
-//! task has no running timer.
+//! Lowers `on silence p d when e` to a timer that runs while `e` is true, and that each message of `p` restarts. So no
+//! timer runs while `e` is false.
 
 use super::emit::Emitter;
 use crate::hir::{Expr, Task, Trigger};
 use imrs_protocol::script::{Op, Slot, Term, Type, eval};
 use imrs_protocol::{PortId, Ticks, TimeId};
 
-/// A silence that a handler waits for.
+/// A silence of a port for which a handler waits.
 pub(super) struct Silence {
     pub port: PortId,
     pub timer: TimeId,
     pub length: Ticks,
     pub when: Option<Expr>,
-    /// The task's variables in `when`.
+    /// The variables of the task that `when` reads.
     watched: Vec<Slot>,
-    /// The variable that saves `when` if one store can change several silences.
+    /// The variable that keeps the last value of `when`, if one store can change several silences.
     kept: Option<Slot>,
 }
 
@@ -39,7 +39,7 @@ impl Silence {
         emit.op(Op::Start { timer: self.timer, length: self.length });
     }
 
-    /// Starts the timer if `when` is true now.
+    /// Emits the start of the timer, if `when` is true at that point.
     pub fn restart(&self, emit: &mut Emitter) {
         let Some(when) = &self.when else { return self.start(emit) };
         let on = emit.label();
@@ -49,7 +49,7 @@ impl Silence {
         emit.put(on);
     }
 
-    /// Starts the timer at the beginning of the task, when all variables are zero, if `when` is true then.
+    /// Emits the start of the timer for the beginning of the task, where all variables are zero, if `when` is true then.
     pub fn begin(&self, emit: &mut Emitter) {
         let holds = self.when.as_ref().is_none_or(|when| {
             let terms: Vec<Term> = super::terms(when);
@@ -60,7 +60,8 @@ impl Silence {
         }
     }
 
-    /// Starts or stops the timer if the value of `when` has changed. The value before the change is on top of the stack.
+    /// Emits the start or the stop of the timer, if the value of `when` has changed. The value before the change is on top
+    /// of the stack.
     fn changed(&self, emit: &mut Emitter) {
         let Some(when) = &self.when else { return };
         let (was_false, on) = (emit.label(), emit.label());
@@ -91,7 +92,7 @@ pub(super) fn keep(silences: &mut [Silence], emit: &mut Emitter) {
     }
 }
 
-/// Emits `write`, which stores into these variables, and starts or stops the silences that depend on them.
+/// Emits `write`, which stores into these variables, and then the starts and stops of the silences that depend on them.
 pub(super) fn store(
     silences: &[Silence],
     emit: &mut Emitter,

@@ -14,8 +14,8 @@ use imrs_protocol::{Class, PortId, Ranked, ServiceOrder, Target, TaskId, Ticks};
 impl<'h> Writer<'h, '_> {
     pub fn statements(&mut self, statements: &'h [Statement]) {
         for statement in statements {
-            // A `while` marks the beginning of its statement at each iteration. For an `order` the program's builder
-            // marks it.
+            // A `while` marks the beginning of its statement at each iteration. For an `order`, the program's builder marks
+            // the beginning.
             if !matches!(statement.kind, StatementKind::While(..) | StatementKind::Order(_)) {
                 self.emit.statement(statement.span);
             }
@@ -251,8 +251,8 @@ impl<'h> Writer<'h, '_> {
         self.branches(statement, name, limited);
     }
 
-    /// Unpacks the answer or message, if one came. For a message, also saves its source and restarts the silences of its
-    /// port.
+    /// Emits the unpacking of the answer or message, if one came. For a message, also saves its source and restarts the
+    /// silences of its port.
     fn unpack(&mut self, format: u16, into: &[Destination], received: Option<Option<PortId>>) {
         let keeps = |capture: &crate::hir::Capture| {
             matches!(capture.what, Captured::Sender | Captured::Received | Captured::Ticket)
@@ -314,7 +314,7 @@ impl<'h> Writer<'h, '_> {
         self.branches(statement, "reply", &[TOO_LATE]);
     }
 
-    /// Stores the result of an action.
+    /// Emits the storing of an action's result.
     fn result(&mut self, into: Option<Destination>) {
         self.keep_outcome();
         let Some(to) = into else { return };
@@ -325,7 +325,8 @@ impl<'h> Writer<'h, '_> {
         self.store(&[to], |writer| {
             writer.emit.op(Op::Value);
             if to.of == Type::Real {
-                // A real result comes as the 32 bits of a float. Read them as unsigned: a negative number is raised by 2^32.
+                // A real result comes as the 32 bits of a float. The script reads these bits as unsigned, so 2^32 is added
+                // to a negative number.
                 let beyond = i64::from(u32::MAX) + 1;
                 for term in [
                     Term::Push(beyond),
@@ -345,7 +346,7 @@ impl<'h> Writer<'h, '_> {
         values.iter().for_each(|value| self.emit.ops(&value.ops));
     }
 
-    /// Emits `write`, which stores into these variables, and starts or stops the silences that depend on them.
+    /// Emits `write`, which stores into these variables, and then the starts and stops of the silences that depend on them.
     fn store(&mut self, into: &[Destination], write: impl FnOnce(&mut Self)) {
         let slots: Vec<Slot> = into.iter().map(|to| to.slot).collect();
         let silences = std::mem::take(&mut self.silences);

@@ -26,7 +26,7 @@ pub(super) struct Writer<'h, 'c> {
     pub uses: Uses,
     /// How many atomic sections are open.
     pub atomic: usize,
-    /// For each loop, the label behind it and how many atomic sections are open there.
+    /// For each open loop, the label behind the loop, and how many atomic sections are open there.
     pub loops: Vec<(Label, usize)>,
     pub errors: Vec<Diagnostic>,
 }
@@ -57,7 +57,8 @@ pub(super) fn script(hir: &Hir, id: TaskId, clock: &mut Clock) -> Result<Script,
 
 impl<'h> Writer<'h, '_> {
     fn body(&mut self) {
-        // An `order` at the beginning counts from the start on, also while the task waits for its lease.
+        // An `order` at the beginning of the body counts from the start of the task on, even while the task waits for its
+        // lease.
         let (orders, rest) = walk::orders_and_rest(self.task);
         self.statements(orders);
         self.emit.at = self.task.span;
@@ -76,7 +77,7 @@ impl<'h> Writer<'h, '_> {
         self.emit.flush();
     }
 
-    /// Emits an endless plain `receive` for a task that has only handlers. Each of them may interrupt it.
+    /// Emits an endless plain `receive` for a task that has only handlers. Each handler may interrupt this `receive`.
     fn serve(&mut self) {
         let top = self.emit.label();
         self.emit.put(top);
@@ -102,7 +103,7 @@ impl<'h> Writer<'h, '_> {
         });
     }
 
-    /// Emits the operations of `write` as the take-over's: while `write` runs, the take-over's emitter replaces the one
+    /// Emits the operations of `write` as the take-over's: while `write` runs, the take-over's emitter replaces the emitter
     /// of this writer.
     fn within(&mut self, write: impl FnOnce(&mut Self)) {
         let at = self.task.span;
@@ -153,14 +154,14 @@ impl<'h> Writer<'h, '_> {
         }
     }
 
-    /// Restarts the timers of these silences, if their conditions hold.
+    /// Emits the restart of the timers of these silences, if the conditions of the silences hold.
     pub fn restart(&mut self, which: impl Fn(&Silence) -> bool) {
         let silences = std::mem::take(&mut self.silences);
         silences.iter().filter(|silence| which(silence)).for_each(|silence| silence.restart(&mut self.emit));
         self.silences = silences;
     }
 
-    /// Saves the sender, the port and the number of a message, if an expression reads them.
+    /// Emits the saving of a message's sender, port and number, if an expression reads them.
     pub fn keep_source(&mut self) {
         for capture in self.captures {
             let op = match capture.what {

@@ -10,13 +10,13 @@ use imrs_protocol::Ticks;
 pub enum Unit {
     /// Microseconds, for the runtime.
     Microseconds,
-    /// The cell's `tick`, for the model. A limit is rounded down to it, a time that may pass is rounded up (D42). The
-    /// `model tick` rounds nothing: it sets which durations between the ends of an interval the checker tries (D133).
+    /// The cell's `tick`, for the model. A limit is rounded down to whole ticks, a time that may pass is rounded up (D42).
+    /// The `model tick` rounds nothing: it sets which durations between the ends of an interval the checker tries (D133).
     Ticks,
 }
 
 impl Unit {
-    /// How many microseconds a unit has.
+    /// How many microseconds one of this unit has.
     #[must_use]
     pub fn usec(self, hir: &Hir) -> u64 {
         match self {
@@ -26,7 +26,7 @@ impl Unit {
     }
 }
 
-/// Converts durations into ticks, and notes those that it rounded.
+/// Converts durations into ticks, and notes the durations that it rounded.
 pub(super) struct Clock {
     /// Microseconds per tick.
     tick: u64,
@@ -49,26 +49,26 @@ impl Clock {
         }
     }
 
-    /// A limit: rounded down, but not to zero.
+    /// Converts a limit: rounds down, but not to zero.
     pub fn time_out(&mut self, length: Duration) -> Ticks {
         let ticks = (length.usec / self.tick).max(u64::from(length.usec > 0));
         self.note(length, ticks);
         Ticks(ticks)
     }
 
-    /// A time that may pass: rounded up.
+    /// Converts a time that may pass: rounds up.
     pub fn bound(&mut self, length: Duration) -> Ticks {
         let ticks = length.usec.div_ceil(self.tick);
         self.note(length, ticks);
         Ticks(ticks)
     }
 
-    /// A period: rounded down, so that events do not become rarer.
+    /// Converts a period: rounds down, so that events do not become rarer.
     pub fn period(&mut self, length: Duration) -> Ticks {
         self.time_out(length)
     }
 
-    /// The duration of an action: the least rounded down, the most rounded up.
+    /// Converts the duration of an action: rounds the least down and the most up.
     pub fn takes(&mut self, (least, most): (Duration, Duration)) -> (Ticks, Ticks) {
         let ticks = least.usec / self.tick;
         self.note(least, ticks);

@@ -1,4 +1,4 @@
-//! Parses statements: their blocks, and the lines inside of the blocks.
+//! Parses statements: blocks, and the lines inside of them.
 
 use super::failure::{clip, unexpected};
 use super::{Context, Driver, Opener, limits};
@@ -12,7 +12,7 @@ use crate::span::Span;
 use crate::words::Word;
 
 impl<'t> Driver<'t> {
-    /// The handlers and statements of a task, and its `takeover`.
+    /// Parses the handlers and statements of a task, and its `takeover`.
     pub(super) fn task_body(&mut self, task: &mut TaskDecl) {
         let mut takeover: Option<Vec<Statement>> = None;
         loop {
@@ -46,14 +46,14 @@ impl<'t> Driver<'t> {
         task.takeover = takeover;
     }
 
-    /// Whether the `end` here closes nothing: neither a name, a declaration nor the end of the file follows.
+    /// Whether the `end` here closes no block: neither a name, a declaration nor the end of the file follows it.
     fn is_stray_end(&self) -> bool {
         let behind = if self.kind(self.at + 1) == Some(Kind::Semicolon) { self.at + 2 } else { self.at + 1 };
         !self.is_name(self.at + 1) && behind < self.tokens.len() && !self.is_declaration(behind)
     }
 
-    /// Statements up to a word that ends them: `end`, `else`, `takeover`, or a word that cannot stand in a task.
-    /// Handlers go into `handlers`; without that list they are reported as misplaced.
+    /// Parses statements up to a word that ends them: `end`, `else`, `takeover`, or a word that cannot stand in a task.
+    /// Handlers go into `handlers`; without `handlers` they are reported as misplaced.
     fn statements(&mut self, into: &mut Vec<Statement>, mut handlers: Option<&mut Vec<Handler>>) {
         while let Some(kind) = self.kind(self.at) {
             if self.report.is_enough() {
@@ -179,7 +179,7 @@ impl<'t> Driver<'t> {
         self.at = self.at.max(from + 1);
     }
 
-    /// A statement of one line, with its branches.
+    /// Parses a statement of one line, with its branches.
     fn simple(&mut self, line: fn(&Self) -> &Line<'t, StatementKind>, into: &mut Vec<Statement>) {
         let from = self.at;
         let to = self.reach(from + 1, Context::Body);
@@ -220,14 +220,14 @@ impl<'t> Driver<'t> {
         stray
     }
 
-    /// Whether a branch of a statement begins here: `on time_out`, or `time_out do` without its `on`.
+    /// Whether a branch of a statement begins here: `on time_out`, or `time_out do` without the `on` in front.
     fn is_branch(&self, index: usize) -> bool {
         let of_branch = matches!(self.word(index), Some(Word::TimeOut | Word::Refused | Word::Failed));
         self.word(index) == Some(Word::On) && !self.is_handler(index)
             || of_branch && self.word(index + 1) == Some(Word::Do)
     }
 
-    /// Whether the `on` here begins a handler.
+    /// Whether the `on` at this position begins a handler.
     fn is_handler(&self, index: usize) -> bool {
         matches!(
             self.word(index + 1),
@@ -238,7 +238,7 @@ impl<'t> Driver<'t> {
     fn branch(&mut self) -> Option<Branch> {
         let from = self.at;
         if self.word(from) != Some(Word::On) {
-            // The `on` is missing, or the line in front could not be parsed.
+            // The `on` is missing, or the line in front of this one could not be parsed.
             if self.word(from) != Some(Word::Do) {
                 self.unexpected(UNEXPECTED, "write `on` in front of it", |found| {
                     format!("expected `on` or `;`, found {}", found.describe())
@@ -259,7 +259,7 @@ impl<'t> Driver<'t> {
         when.map(|when| Branch { when, body, span })
     }
 
-    /// A line that begins with an unknown word. A block that it opens is parsed and dropped.
+    /// Parses a line that begins with an unknown word. If the line opens a block, the block is parsed and dropped.
     fn unknown_statement(&mut self) {
         let from = self.at;
         let name = self.text(from);
@@ -293,7 +293,7 @@ impl<'t> Driver<'t> {
         }
     }
 
-    /// `if`, `elsif`, `else`
+    /// Parses `if`, with its `elsif` and `else`.
     fn if_block(&mut self, into: &mut Vec<Statement>) {
         let from = self.at;
         let opener = Opener { word: Word::If, span: self.span(from) };
@@ -331,7 +331,7 @@ impl<'t> Driver<'t> {
         self.finish(readable.then_some(StatementKind::If { arms, otherwise }), span, into);
     }
 
-    /// The `;` behind a block statement. Adds the statement, or records its span as lost.
+    /// Expects the `;` behind a block statement. Adds the statement, or records its span as lost.
     fn finish(&mut self, kind: Option<StatementKind>, span: Span, into: &mut Vec<Statement>) {
         self.semicolon_of_end();
         if kind.is_none() {
@@ -341,14 +341,14 @@ impl<'t> Driver<'t> {
         into.extend(kind.map(|kind| Statement { kind, branches: Vec::new(), span }));
     }
 
-    /// The statements of a block, and its `end`.
+    /// Parses the statements of a block, and its `end`.
     fn block(&mut self, opener: Opener) -> Vec<Statement> {
         let body = self.open_block(opener);
         self.block_end(opener);
         body
     }
 
-    /// The statements of a block.
+    /// Parses the statements of a block.
     fn open_block(&mut self, opener: Opener) -> Vec<Statement> {
         let mut body = Vec::new();
         if self.open.len() > limits::DEEPEST {
@@ -366,7 +366,7 @@ impl<'t> Driver<'t> {
         body
     }
 
-    /// The `end` of a block.
+    /// Expects the `end` of a block.
     fn block_end(&mut self, opener: Opener) {
         if self.word(self.at) != Some(Word::End) {
             self.unclosed(opener);

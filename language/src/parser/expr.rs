@@ -1,4 +1,4 @@
-//! Names, numbers, durations and expressions.
+//! The grammar of names, numbers, durations and expressions.
 
 use super::failure::{Failure, NAME};
 use super::{Extra, Tokens};
@@ -16,17 +16,17 @@ use imrs_protocol::script::Binary;
 pub(super) trait Part<'t, O>: Parser<'t, Tokens<'t>, O, Extra> + Clone + 't {}
 impl<'t, O, P: Parser<'t, Tokens<'t>, O, Extra> + Clone + 't> Part<'t, O> for P {}
 
-/// The keyword `word`.
+/// Parses the keyword `word`.
 pub(super) fn word<'t>(word: Word) -> impl Part<'t, Span> {
     just(Kind::Word(word)).map_with(|_, extra| extra.span()).boxed()
 }
 
-/// The token `kind`.
+/// Parses the token `kind`.
 pub(super) fn sign<'t>(kind: Kind) -> impl Part<'t, Span> {
     just(kind).map_with(|_, extra| extra.span())
 }
 
-/// A name.
+/// Parses a name.
 pub(super) fn name<'t>(text: &'t str) -> impl Part<'t, Name> {
     any()
         .filter(|kind| match kind {
@@ -42,14 +42,14 @@ pub(super) fn name<'t>(text: &'t str) -> impl Part<'t, Name> {
         .boxed()
 }
 
-/// An entry of an `order`: a name, `self`, or `timer` for all timers of the task.
+/// Parses an entry of an `order`: a name, `self`, or `timer` for all timers of the task.
 pub(super) fn name_or_self<'t>(text: &'t str) -> impl Part<'t, Name> {
     let myself = word(Word::Myself).map(|span| Name { text: "self".to_owned(), span });
     let timers = word(Word::Timer).map(|span| Name { text: "timer".to_owned(), span });
     choice((myself, timers, name(text))).labelled("a name, `self` or `timer`")
 }
 
-/// A whole number.
+/// Parses a whole number.
 pub(super) fn number<'t>(text: &'t str) -> impl Part<'t, Number> {
     just(Kind::Int)
         .validate(move |_, extra, emitter| {
@@ -75,12 +75,12 @@ fn too_large(span: Span, most: u64) -> Failure {
     Failure::Said(Box::new(found))
 }
 
-/// The span of a number, with a fraction or not.
+/// Parses a number, with or without a fraction. Gives its span.
 fn amount<'t>() -> impl Part<'t, Span> {
     choice((sign(Kind::Int), sign(Kind::Real))).labelled("a number").boxed()
 }
 
-/// A unit of time, as its length in microseconds.
+/// Parses a unit of time. Gives its length in microseconds.
 fn unit<'t>(text: &'t str) -> impl Part<'t, u64> {
     let known = choice(Word::UNITS.iter().map(|(unit, usec)| word(*unit).to(*usec)).collect::<Vec<_>>());
     let unknown = just(Kind::Name).validate(move |_, extra, emitter| {
@@ -106,7 +106,7 @@ fn unknown_unit(text: &str, span: Span) -> Diagnostic {
     }
 }
 
-/// `20 msec`
+/// Parses `20 msec`.
 pub(super) fn duration<'t>(text: &'t str) -> impl Part<'t, Duration> {
     let duration = amount().then(unit(text)).validate(move |(number, usec), extra, emitter| {
         let span: Span = extra.span();
@@ -118,7 +118,7 @@ pub(super) fn duration<'t>(text: &'t str) -> impl Part<'t, Duration> {
     duration.boxed()
 }
 
-/// `1..4 sec`, `200 msec..1 sec`; `5 msec` stands for `5..5 msec`.
+/// Parses `1..4 sec`, `200 msec..1 sec`; `5 msec` stands for `5..5 msec`.
 pub(super) fn durations<'t>(text: &'t str) -> impl Part<'t, (Duration, Duration)> {
     let least = amount().then(unit(text).or_not());
     let most = sign(Kind::DotDot).ignore_then(amount().then(unit(text)));
@@ -158,12 +158,12 @@ fn length(number: &str, unit: u64, span: Span) -> Result<Duration, Box<Diagnosti
     Ok(Duration { usec: usec.round() as u64, span })
 }
 
-/// `20/1 sec`
+/// Parses `20/1 sec`.
 pub(super) fn rate<'t>(text: &'t str) -> impl Part<'t, Rate> {
     number(text).then_ignore(just(Kind::Slash)).then(duration(text)).map(|(count, per)| Rate { count, per })
 }
 
-/// A text in quotes, without the quotes.
+/// Parses a text in quotes. Gives the text without the quotes.
 pub(super) fn text<'t>(text: &'t str) -> impl Part<'t, (String, Span)> {
     just(Kind::Text)
         .map_with(move |_, extra| {
@@ -174,7 +174,7 @@ pub(super) fn text<'t>(text: &'t str) -> impl Part<'t, (String, Span)> {
         .labelled("a text in quotes")
 }
 
-/// `me.height`
+/// Parses `me.height`.
 pub(super) fn place<'t>(text: &'t str) -> impl Part<'t, Place> {
     name(text)
         .separated_by(just(Kind::Dot))
@@ -184,7 +184,7 @@ pub(super) fn place<'t>(text: &'t str) -> impl Part<'t, Place> {
         .boxed()
 }
 
-/// An expression: `or` binds least, then `and`, `not`, comparisons, sums, products, signs.
+/// Parses an expression: `or` binds least, then `and`, `not`, comparisons, sums, products, signs.
 pub(super) fn expr<'t>(text: &'t str) -> impl Part<'t, Expr> {
     recursive(|expr| {
         let inner = expr.clone().delimited_by(just(Kind::ParenOpen), just(Kind::ParenClose));
@@ -215,7 +215,7 @@ pub(super) fn expr<'t>(text: &'t str) -> impl Part<'t, Expr> {
     .boxed()
 }
 
-/// A left-associative chain: `a + b + c`.
+/// Parses a left-associative chain: `a + b + c`.
 fn chain<'t>(of: impl Part<'t, Expr>, operator: impl Part<'t, Binary>) -> impl Part<'t, Expr> {
     let more = operator.labelled("an operator").then(of.clone()).repeated();
     of.foldl(more, binary_of)
@@ -226,7 +226,7 @@ fn binary_of(left: Expr, (operator, right): (Binary, Expr)) -> Expr {
     Expr { kind: ExprKind::Binary(operator, Box::new(left), Box::new(right)), span }
 }
 
-/// A sum or a comparison of two sums, and whether it is a comparison.
+/// Parses a sum, or a comparison of two sums. The flag says whether it is a comparison.
 fn comparison<'t>(sum: impl Part<'t, Expr>) -> impl Part<'t, (Expr, bool)> {
     let operator = choice((
         just(Kind::Equal).to(Binary::Equal),
@@ -243,7 +243,7 @@ fn comparison<'t>(sum: impl Part<'t, Expr>) -> impl Part<'t, (Expr, bool)> {
     })
 }
 
-/// `not not a`. Structured Text and RAPID disagree about `not a = b`, so it needs parentheses.
+/// Parses `not not a`. Structured Text and RAPID read `not a = b` differently, so this needs parentheses.
 fn negated<'t>(of: impl Part<'t, (Expr, bool)>) -> impl Part<'t, Expr> {
     let nots = word(Word::Not).repeated().collect::<Vec<_>>();
     nots.then(of).validate(|(nots, (of, compares)), _, emitter| {

@@ -10,13 +10,13 @@ use chumsky::DefaultExpected;
 use chumsky::error::{Error, LabelError};
 use chumsky::util::MaybeRef;
 
-/// An alternative that the grammar would have accepted.
+/// An alternative that the grammar would have accepted at some token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Expected {
     Token(Kind),
     /// A part of the grammar, in words.
     Label(&'static str),
-    /// The end of the part of a line that is parsed.
+    /// The end of the part of a line that is being parsed.
     End,
 }
 
@@ -27,7 +27,7 @@ pub(super) enum Failure {
         span: Span,
         expected: Vec<Expected>,
     },
-    /// The grammar parsed the part, but found it wrong.
+    /// The grammar parsed the part and found a fault in it.
     Said(Box<Diagnostic>),
 }
 
@@ -93,7 +93,7 @@ impl<'t> LabelError<'t, Tokens<'t>, &'static str> for Failure {
 
 /// The token at which the grammar stopped.
 pub(super) struct Found<'t> {
-    /// The token's kind; none at the end of the file.
+    /// The token's kind; `None` at the end of the file.
     pub kind: Option<Kind>,
     /// The token's text.
     pub text: &'t str,
@@ -126,7 +126,8 @@ pub(super) fn clip(text: &str) -> String {
     text.chars().take(37).chain("...".chars()).collect()
 }
 
-/// The diagnostic for an unexpected token. `end` is the token that would have ended the parsed part: `;`, `then`.
+/// The diagnostic for an unexpected token. `end` is the token that should have ended the parsed part, such as `;` or
+/// `then`.
 pub(super) fn unexpected(expected: &[Expected], found: &Found<'_>, end: &str) -> Diagnostic {
     if found.kind == Some(Kind::Equal) && expected.contains(&Expected::Token(Kind::Assign)) {
         return Diagnostic::error(OPERATOR, found.span, "a value is assigned by `:=`").help("write `:=`");
@@ -161,12 +162,12 @@ pub(super) fn unexpected(expected: &[Expected], found: &Found<'_>, end: &str) ->
     diagnostic.label(format!("expected {wanted}")).help(help)
 }
 
-/// Whether a name would have been accepted.
+/// Whether the grammar would have accepted a name.
 pub(super) fn wants_name(expected: &[Expected]) -> bool {
     expected.iter().any(|one| matches!(one, Expected::Label(NAME | TYPE)))
 }
 
-/// The diagnostic for a missing semicolon behind the token in front.
+/// The diagnostic for a missing semicolon behind the previous token.
 pub(super) fn missing_semicolon(found: &Found<'_>) -> Diagnostic {
     let at = Span { start: found.after.end.saturating_sub(1).max(found.after.start), end: found.after.end };
     Diagnostic::error(SEMICOLON, at, format!("expected `;`, found {}", found.describe()))
@@ -216,13 +217,13 @@ fn near_option(expected: &[Expected], found: &Found<'_>) -> Option<Word> {
     Word::near(found.text, &words)
 }
 
-/// How many alternatives a diagnostic names at most.
+/// The greatest number of alternatives that a diagnostic names.
 const ALTERNATIVES: usize = 4;
 
 fn in_words(expected: &[Expected], end: &str) -> String {
     let mut words: Vec<String> = Vec::new();
     let mut sorted = expected.to_vec();
-    // The end of the line is the likeliest, then parts of the grammar, then single tokens.
+    // The end of the line is the likeliest alternative, then parts of the grammar, then single tokens.
     sorted.sort_by_key(|one| match one {
         Expected::End => 0,
         Expected::Label(_) => 1,

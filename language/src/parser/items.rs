@@ -11,11 +11,11 @@ use crate::lexer::Kind;
 use crate::span::Span;
 use crate::words::Word;
 
-/// In how many tokens of a task's head its `begin` is searched for.
+/// In this many tokens of a task's head the parser searches for its `begin`.
 const LONGEST_HEAD: usize = 2000;
 
 impl Driver<'_> {
-    /// The whole file.
+    /// Parses the whole file.
     pub(super) fn file(&mut self) -> File {
         let mut file = File::default();
         if self.word(0) == Some(Word::Cell) {
@@ -149,7 +149,7 @@ impl Driver<'_> {
 
     fn task(&mut self) -> Option<TaskDecl> {
         let from = self.at;
-        // The `on` directly behind the name belongs to the head.
+        // An `on` directly behind the name belongs to the task's head.
         let mut to = self.reach(from + 1, Context::Head);
         if self.word(to) == Some(Word::On) && to == from + 2 {
             to = self.reach(to + 1, Context::Head);
@@ -233,7 +233,7 @@ impl Driver<'_> {
             .is_some_and(|(_, word)| word == Some(Word::Begin))
     }
 
-    /// A port. Its head and its options are parsed one by one, so that an error in one leaves the others intact.
+    /// Parses a port. Head and options are parsed one by one, so that an error in one of them leaves the others intact.
     pub(super) fn port(&mut self) -> Option<PortDecl> {
         let from = self.at;
         let to = self.reach(from + 1, Context::Head);
@@ -275,7 +275,7 @@ impl Driver<'_> {
         Some(PortDecl { owner, name, parameters, answer, options, span })
     }
 
-    /// Whether an option of a port begins here, a known one or an unknown one.
+    /// Whether an option of a port begins at this token, whether a known option or not.
     fn is_option(&self, index: usize) -> bool {
         let opens = matches!(self.kind(index + 1), Some(Kind::Equal | Kind::BracketOpen));
         let known = self.word(index).is_some_and(|word| Word::OPTIONS.contains(&word));
@@ -289,7 +289,7 @@ impl Driver<'_> {
         opens && self.is_name(index) || known && behind_value && !self.is_in_list(index)
     }
 
-    /// Whether a token is in a list of names in parentheses or braces.
+    /// Whether this token is in a list of names in parentheses or braces.
     fn is_in_list(&self, index: usize) -> bool {
         let back = (0..index).rev().map(|index| self.tokens[index].0);
         for kind in back {
@@ -333,7 +333,7 @@ impl Driver<'_> {
         }
     }
 
-    /// Reports a block that is not closed: this one, or one inside of it whose `end` is indented differently.
+    /// Reports a block that is not closed: this block, or one inside of it whose `end` is indented differently.
     pub(super) fn unclosed(&mut self, opener: Opener) {
         if self.open_ended {
             return;
@@ -387,7 +387,7 @@ fn wrong_end(end: &Name, name: &Name) -> Diagnostic {
         .help(format!("write `end {};`", name.text))
 }
 
-/// A task with only its head. Its name is empty if the head could not be parsed.
+/// A task with only its head. The task's name is empty if the head could not be parsed.
 fn empty_task(head: Option<TaskHead>, span: Span) -> TaskDecl {
     let nameless = || Name { text: String::new(), span };
     let head = head.unwrap_or_else(|| TaskHead {

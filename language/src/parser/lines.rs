@@ -17,7 +17,7 @@ use chumsky::prelude::*;
 use imrs_protocol::Usage;
 use imrs_protocol::script::Type;
 
-/// A parser for one line.
+/// A parser for one kind of line.
 pub(super) type Line<'t, O> = Boxed<'t, 't, Tokens<'t>, O, Extra>;
 
 /// The head of a port: its name, its parameters, the type of its answer.
@@ -62,7 +62,7 @@ impl<'t> Lines<'t> {
     }
 }
 
-/// The declarations that take one line.
+/// Parses a declaration that takes one line.
 fn item<'t>(source: &'t str) -> impl Part<'t, Item> {
     let tick = word(Word::Model).or_not().then_ignore(word(Word::Tick)).then(duration(source));
     let tick = tick.map_with(|(model, length), extra| {
@@ -87,7 +87,7 @@ fn item<'t>(source: &'t str) -> impl Part<'t, Item> {
     ))
 }
 
-/// A list of names in braces.
+/// Parses a list of names in braces.
 fn set<'t>(source: &'t str) -> impl Part<'t, Vec<Name>> {
     let names = name(source).separated_by(just(Kind::Comma)).at_least(1).collect();
     names.delimited_by(just(Kind::BraceOpen), just(Kind::BraceClose)).boxed()
@@ -159,7 +159,7 @@ fn type_head<'t>(source: &'t str) -> impl Part<'t, Name> {
     word(Word::Type).ignore_then(name(source)).then_ignore(is_record)
 }
 
-/// The name of a type.
+/// Parses the name of a type.
 fn type_name<'t>(source: &'t str) -> impl Part<'t, TypeName> {
     let plain = |of, is| word(of).map(move |span| TypeName::Plain(is, span));
     let plain = choice((
@@ -175,7 +175,7 @@ fn type_name<'t>(source: &'t str) -> impl Part<'t, TypeName> {
     choice((plain.boxed(), timer, name(source).map(TypeName::Record))).labelled(TYPE).boxed()
 }
 
-/// `speed: real`; Figure 1 has a field without the colon.
+/// Parses `speed: real`; Figure 1 has a field without the colon.
 fn fields<'t>(source: &'t str) -> impl Part<'t, Vec<Field>> {
     let names = name(source).separated_by(just(Kind::Comma)).at_least(1).collect::<Vec<_>>();
     names
@@ -248,7 +248,7 @@ fn usage<'t>() -> impl Part<'t, Usage> {
     .labelled(USAGE)
 }
 
-/// `{a, b}`, `(a b)`: Figure 1 has parentheses and no commas, the text of §3 braces and commas (D10).
+/// Parses `{a, b}` and `(a b)`: Figure 1 has parentheses and no commas, the text of §3 has braces and commas (D10).
 fn users<'t>(source: &'t str) -> impl Part<'t, Vec<Name>> {
     let names =
         name(source).then_ignore(just(Kind::Comma).or_not()).repeated().at_least(1).collect::<Vec<_>>();
@@ -262,17 +262,17 @@ fn variables<'t>(source: &'t str) -> impl Part<'t, VarDecl> {
     line.map_with(|(names, of), extra| VarDecl { names, of, span: extra.span() })
 }
 
-/// Places, separated by commas.
+/// Parses places, separated by commas.
 pub(super) fn places<'t>(source: &'t str) -> impl Part<'t, Vec<Place>> {
     place(source).separated_by(just(Kind::Comma)).at_least(1).collect().boxed()
 }
 
-/// The entries of an `order`, between `>`.
+/// Parses the entries of an `order`, separated by `>`.
 pub(super) fn ranks<'t>(source: &'t str) -> impl Part<'t, Vec<Name>> {
     name_or_self(source).separated_by(just(Kind::Greater)).at_least(1).collect()
 }
 
-/// `1..4 sec`
+/// Parses `1..4 sec`.
 pub(super) fn takes<'t>(source: &'t str) -> impl Part<'t, (crate::ast::Duration, crate::ast::Duration)> {
     word(Word::Takes).ignore_then(durations(source))
 }

@@ -1,5 +1,5 @@
 //! Corrects misspelt keywords at the beginning of a line: reports them, and replaces their tokens by the keywords that were
-//! meant. So `whlie` opens a block, and its `end` fits.
+//! probably meant. So `whlie` opens a block, and the block's `end` fits.
 
 use super::failure::misspelt;
 use crate::codes::STRAY_END;
@@ -10,7 +10,7 @@ use crate::source::Source;
 use crate::span::Span;
 use crate::words::Word;
 
-/// How many names the parser compares with all keywords at most, because comparing takes time.
+/// The greatest number of names that the parser compares with all keywords, because comparing takes time.
 const MOST: usize = 1000;
 
 #[derive(Clone, Copy, PartialEq, Eq)]

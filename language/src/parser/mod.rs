@@ -94,7 +94,7 @@ pub fn parse(source: &Source) -> Parsed {
     Parsed { file, diagnostics: driver.report.finish(), lost: driver.lost }
 }
 
-/// The result if nothing was parsed.
+/// The result if the parser could not parse anything.
 fn nothing(report: Report) -> Parsed {
     let lost = Lost { all: true, ..Lost::default() };
     Parsed { file: File::default(), diagnostics: report.finish(), lost }
@@ -113,7 +113,7 @@ enum Context {
     Body,
 }
 
-/// An open block: its keyword and the span of that.
+/// An open block: its keyword, and the span of this keyword.
 #[derive(Clone, Copy, Debug)]
 struct Opener {
     word: Word,
@@ -124,22 +124,22 @@ struct Opener {
 struct Driver<'t> {
     source: &'t Source,
     tokens: &'t [Token],
-    /// The position of the next token.
+    /// The position of the next token to be parsed.
     at: usize,
     report: Report,
     lines: Lines<'t>,
     statements: Statements<'t>,
-    /// The offsets of earlier diagnostics: a line with one of these is not reported again.
+    /// The offsets of earlier diagnostics: a line that contains one of them is not reported again.
     faulty: Vec<u32>,
     /// The open blocks of the task, outermost first.
     open: Vec<Opener>,
     /// Blocks whose `end` is indented differently, with the span of that `end`.
     suspects: Vec<(Opener, Span)>,
-    /// Whether the text ends inside of a comment. Anything may then be missing.
+    /// Whether the text ends inside of a comment. If so, any part of the file may be missing.
     open_ended: bool,
-    /// The token at which a block was found not to be closed: no missing `;` is reported there.
+    /// The token at which the parser reported an unclosed block: it reports no missing `;` at this token.
     left_open: Option<usize>,
-    /// The token behind a statement that could not be parsed: its branches may follow.
+    /// The token behind a statement that could not be parsed: branches of that statement may follow here.
     broken: usize,
     /// The parts that could not be parsed.
     lost: Lost,
@@ -159,7 +159,7 @@ struct Stopped {
     at: usize,
     /// Whether the line could have ended in front of that token.
     can_end: bool,
-    /// Whether a reserved keyword stands in place of a name.
+    /// Whether a reserved keyword stands at that token in place of a name.
     reserved: bool,
 }
 
@@ -175,7 +175,7 @@ impl<'t> Driver<'t> {
         }
     }
 
-    /// The span of a token; behind the last one, an empty span at the end of the text.
+    /// The span of a token; behind the last token, an empty span at the end of the text.
     fn span(&self, index: usize) -> Span {
         self.tokens
             .get(index)
@@ -199,7 +199,7 @@ impl<'t> Driver<'t> {
         }
     }
 
-    /// Whether a declaration of the file begins here.
+    /// Whether a declaration of the file begins at this token.
     fn is_declaration(&self, index: usize) -> bool {
         match self.word(index) {
             Some(Word::Task | Word::Type | Word::Cell) => true,
@@ -275,7 +275,7 @@ impl<'t> Driver<'t> {
         self.lost.spans.push(self.span(from).to(last));
     }
 
-    /// The token at `from` or later that ends the line: its `;`, or a word that cannot be part of it.
+    /// The token at `from` or later that ends the line: its `;`, or a word that cannot be part of the line.
     fn reach(&self, from: usize, context: Context) -> usize {
         let rest = from..self.tokens.len();
         rest.into_iter().find(|index| self.ends_line(*index, context)).unwrap_or(self.tokens.len())
@@ -292,7 +292,7 @@ impl<'t> Driver<'t> {
         ) {
             return true;
         }
-        // A free keyword ends the line only if it is the first word of a new one.
+        // A keyword that is not reserved ends the line only if it is the first word of a new line.
         let begins = word.is_reserved() || self.is_first_of_line(index) && self.is_name(index + 1);
         let of_statement =
             Word::STATEMENTS.contains(&word) && begins || matches!(word, Word::Then | Word::Do);
@@ -301,7 +301,7 @@ impl<'t> Driver<'t> {
                 self.is_first_of_line(index) && (word == Word::Port || self.is_declaration(index))
             }
             Context::Field => word == Word::Port,
-            // As in `usage = send`: the keyword behind `=` does not begin a statement.
+            // As in `usage = send`: a keyword behind `=` does not begin a statement.
             Context::Head => {
                 word == Word::Port || of_statement && index > 0 && self.kind(index - 1) != Some(Kind::Equal)
             }
@@ -328,7 +328,7 @@ impl<'t> Driver<'t> {
         read.output
     }
 
-    /// Continues behind the `;` that should be here, and reports a missing one.
+    /// Continues behind the `;` that should end the line, and reports a missing `;`.
     fn semicolon(&mut self, from: usize, to: usize) {
         self.at = to;
         if self.kind(to) == Some(Kind::Semicolon) {
@@ -366,7 +366,7 @@ impl<'t> Driver<'t> {
         }
         self.at = to;
         if stopped.reserved && stopped.at == to && !self.is_first_of_line(to) {
-            // A reserved keyword in place of a name: the line continues behind it.
+            // If a reserved keyword stands in place of a name, the line continues behind this keyword.
             let mut index = to + 1;
             while index < self.tokens.len() && !self.is_first_of_line(index) {
                 if matches!(

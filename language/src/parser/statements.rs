@@ -9,7 +9,7 @@ use chumsky::prelude::*;
 
 /// The parsers of one-line statements and of the heads of handlers and branches, built once for each text.
 pub(super) struct Statements<'t> {
-    /// Statements that begin with a keyword.
+    /// The parser of statements that begin with a keyword.
     pub command: Line<'t, StatementKind>,
     pub assignment: Line<'t, StatementKind>,
     pub trigger: Line<'t, Trigger>,
@@ -50,18 +50,18 @@ impl<'t> Statements<'t> {
     }
 }
 
-/// Expressions in parentheses.
+/// Parses expressions in parentheses.
 fn arguments<'t>(source: &'t str) -> impl Part<'t, Vec<Expr>> {
     let list = expr(source).separated_by(just(Kind::Comma)).collect();
     list.delimited_by(just(Kind::ParenOpen), just(Kind::ParenClose)).boxed()
 }
 
-/// `within 3 msec`
+/// Parses `within 3 msec`.
 fn within<'t>(source: &'t str) -> impl Part<'t, Option<Duration>> {
     word(Word::Within).ignore_then(duration(source)).or_not().boxed()
 }
 
-/// `-> a, b.c`
+/// Parses `-> a, b.c`.
 fn into<'t>(source: &'t str) -> impl Part<'t, Vec<Place>> {
     just(Kind::Arrow).ignore_then(places(source)).or_not().map(Option::unwrap_or_default).boxed()
 }
@@ -82,7 +82,7 @@ fn send<'t>(source: &'t str) -> impl Part<'t, StatementKind> {
     })
 }
 
-/// Places in parentheses.
+/// Parses places in parentheses.
 fn targets<'t>(source: &'t str) -> impl Part<'t, Vec<Place>> {
     let list = place(source).separated_by(just(Kind::Comma)).collect();
     list.delimited_by(just(Kind::ParenOpen), just(Kind::ParenClose))
@@ -91,7 +91,7 @@ fn targets<'t>(source: &'t str) -> impl Part<'t, Vec<Place>> {
 fn receive<'t>(source: &'t str) -> impl Part<'t, StatementKind> {
     let from = word(Word::From).ignore_then(name(source)).or_not();
     let port = name(source).then(targets(source)).then(from);
-    // `within` may also be the name of a port; parentheses then follow it.
+    // `within` may also be the name of a port: then parentheses follow the word.
     let of_port = port.map(|((port, into), from)| (Some(port), into, from));
     let of_any = empty().to((None, Vec::new(), None::<Name>));
     let line = word(Word::Receive).ignore_then(of_port.or(of_any)).then(within(source));
@@ -114,7 +114,7 @@ fn waitfor<'t>(source: &'t str) -> impl Part<'t, StatementKind> {
     line.map(|((port, arguments), within)| StatementKind::Waitfor { port, arguments, within })
 }
 
-/// The arguments of an action stand alone, `run weld p.spot, 3`, or in parentheses, `run weld(p.spot, 3)`.
+/// Parses `run`. The arguments of the action stand alone, `run weld p.spot, 3`, or in parentheses, `run weld(p.spot, 3)`.
 fn run<'t>(source: &'t str) -> impl Part<'t, StatementKind> {
     let list = expr(source).separated_by(just(Kind::Comma));
     let several = list.clone().at_least(2).collect::<Vec<_>>();
@@ -137,7 +137,7 @@ fn run<'t>(source: &'t str) -> impl Part<'t, StatementKind> {
     })
 }
 
-/// The trigger of a handler, between `on` and `do`.
+/// Parses the trigger of a handler, between `on` and `do`.
 fn trigger<'t>(source: &'t str) -> impl Part<'t, Trigger> {
     let variables = name(source).separated_by(just(Kind::Comma)).collect();
     let variables = variables.delimited_by(just(Kind::ParenOpen), just(Kind::ParenClose));
@@ -154,7 +154,7 @@ fn trigger<'t>(source: &'t str) -> impl Part<'t, Trigger> {
     choice((message.boxed(), silence.boxed(), expiry.boxed(), fence))
 }
 
-/// The kind of a branch, between `on` and `do`.
+/// Parses the kind of a branch, between `on` and `do`.
 fn branch<'t>() -> impl Part<'t, BranchKind> {
     choice((
         word(Word::TimeOut).to(BranchKind::TimeOut),

@@ -10,7 +10,7 @@ use crate::hir::{Destination, Expr, StatementKind};
 use crate::span::Span;
 use imrs_protocol::script::Type;
 
-/// The types of an action's arguments and result, as in its first use.
+/// The types of an action's arguments and result, as its first use has them.
 #[derive(Clone, Debug)]
 pub(super) struct Shape {
     arguments: Vec<Kind>,
@@ -126,7 +126,8 @@ impl<'a> Thread<'_, 'a> {
         Some((low_value, high_value))
     }
 
-    /// All uses of an action in a task must have one shape, because one driver, command or simulation carries it out.
+    /// All uses of an action in a task must have one shape, because the same driver, command or simulation carries out all
+    /// of them.
     pub fn shape(&mut self, action: &Name, arguments: &[Expr], into: Option<Destination>) -> Option<()> {
         let shape = Shape {
             arguments: arguments.iter().map(|argument| kind(argument.of)).collect(),

@@ -9,7 +9,7 @@ use crate::span::Span;
 use imrs_protocol::NodeId;
 use imrs_protocol::cell::MAX_NODES;
 
-/// The most things that 16-bit numbers can count.
+/// The greatest number of nodes, tasks, ports or the like: 16-bit numbers count them.
 pub(super) const MOST: usize = u16::MAX as usize;
 
 impl<'a> Resolver<'a> {
@@ -73,7 +73,8 @@ impl<'a> Resolver<'a> {
         }
     }
 
-    /// Reports a cell with too many nodes. Nothing else of it is checked: that would search the routes between all nodes.
+    /// Reports a cell with too many nodes. Nothing else of such a cell is checked, because the checks search the routes
+    /// between all nodes.
     pub(super) fn has_too_many_nodes(&mut self, file: &'a ast::File) -> bool {
         let mut nodes = file.items.iter().filter_map(|item| match item {
             Item::Node(node) => Some(node),
@@ -178,7 +179,7 @@ impl<'a> Resolver<'a> {
         self.hir.records.push(Record { name, fields, span });
     }
 
-    /// Reports fields whose type is a record, or an unknown name.
+    /// Reports fields whose type is a record or an unknown name.
     fn nested_records(&mut self, file: &'a ast::File) {
         for item in &file.items {
             let Item::Type(record) = item else { continue };
@@ -258,7 +259,7 @@ impl<'a> Resolver<'a> {
         let task = self.tasks.get(&name.text).map(|at| self.hir.tasks[at].node);
         let node = task.or_else(|| self.nodes.get(&name.text).map(NodeId::from_index));
         if node.is_none() {
-            // Reports the unknown name.
+            // No node has the name, so this reports an unknown name unless a task has it.
             let _ = self.task(name);
         }
         node

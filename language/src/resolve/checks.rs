@@ -64,7 +64,7 @@ fn depth(ops: &[Op]) -> usize {
     most
 }
 
-/// The scope of a check: all names of the cell.
+/// The scope of a check's expressions: all names of the cell.
 struct Cell<'r, 'a> {
     resolver: &'r mut Resolver<'a>,
 }
@@ -110,7 +110,7 @@ impl Cell<'_, '_> {
     }
 
     /// Resolves `r2.asked(grab)` and `r2.answered(grab)`: whether a task has an outstanding request on a port, or has got
-    /// its answer.
+    /// the answer to its last request.
     fn requested(&mut self, task: &Name, word: &Name, port: &Name, span: Span) -> Option<Typed> {
         let (task_id, id) = (self.task(task), self.port(port));
         let (task_id, id) = (task_id?, id?);

@@ -9,7 +9,7 @@ use crate::span::Span;
 use crate::walk;
 use imrs_protocol::{PortId, TaskId, Usage};
 
-/// The most bytes of contents in a message that carries an epoch behind them (D78).
+/// The most bytes of contents in a message that also carries an epoch (D78).
 const GUARDED: usize = 11;
 
 impl<'a> Resolver<'a> {
@@ -139,7 +139,7 @@ impl<'a> Resolver<'a> {
         self.found.extend(found);
     }
 
-    /// Checks that `standby of` and `couple work` agree.
+    /// Checks that the `standby of` of a task agrees with the `couple work` of the cell.
     fn standby(&mut self, id: TaskId) {
         let task = &self.hir.tasks[id.index()];
         let Some(declared) = self.written.get(id.index()) else { return };
@@ -177,7 +177,7 @@ impl<'a> Resolver<'a> {
         self.found.extend(found);
     }
 
-    /// Whether a task is the standby of a couple, and whether it may become one.
+    /// Two flags: whether a task is the standby of a couple, and whether it may become one.
     pub(super) fn stands_by(&self, id: TaskId) -> (bool, bool) {
         let name = &self.hir.tasks[id.index()].name;
         let stands_by = self.coupled.iter().any(|&(standby, ..)| standby == name)
@@ -186,8 +186,8 @@ impl<'a> Resolver<'a> {
         (stands_by, mutual)
     }
 
-    /// Finds the ports that a lease guards (D61): those through which a couple commands other tasks. A port on which the
-    /// standby sends before it takes over is not guarded.
+    /// Finds the ports that a lease guards (D61): the ports through which a couple commands other tasks. A port on which
+    /// the standby sends before it takes over is not guarded.
     pub(super) fn guards(&mut self) {
         for at in 0..self.hir.couples.len() {
             let CoupleKind::Work { primary, standby, via, .. } = self.hir.couples[at].kind else { continue };

@@ -10,7 +10,7 @@ use crate::hir::Expr;
 use crate::span::Span;
 use imrs_protocol::script::{Binary, Op, ScriptFault, Term, Type, eval, real};
 
-/// A typed expression, and its value if it is constant.
+/// A typed expression, and its value if the expression is constant.
 #[derive(Clone, Debug)]
 pub(super) struct Typed {
     pub of: Type,
@@ -33,22 +33,22 @@ impl Typed {
     }
 }
 
-/// The two things that differ between the expressions of tasks and those of checks: which names they may use,
-/// and where diagnostics go.
+/// What differs between the expressions of tasks and the expressions of checks: which names they may use, and where
+/// diagnostics go.
 pub(super) trait Leaves {
     fn report(&mut self, found: Diagnostic);
-    /// A variable, or a keyword that stands for a value.
+    /// Types a variable, or a keyword that stands for a value.
     fn place(&mut self, place: &Place) -> Option<Typed>;
-    /// `lift.arrived(armR)`
+    /// Types `lift.arrived(armR)`.
     fn call(&mut self, of: &Place, argument: &Name, span: Span) -> Option<Typed>;
-    /// A comparison with a keyword on one side: `outcome = refused`, `sender = armL`, `received = halt`. None if neither side
-    /// is one.
+    /// Types a comparison with a keyword on one side: `outcome = refused`, `sender = armL`, `received = halt`. `None` if
+    /// neither side is such a keyword.
     fn compared(&mut self, a: &Written, b: &Written, span: Span) -> Option<Option<Typed>>;
 }
 
 /// The type and the operations of an expression; `None` if an error was reported.
 pub(super) fn typed(leaves: &mut impl Leaves, written: &Written) -> Option<Typed> {
-    // A chain `a + b + c ..` nests as deep as it is long, so it is walked in a loop, not by recursion.
+    // The tree of a chain `a + b + c ..` is as deep as the chain is long, so a loop goes through it, not by recursion.
     let mut chain = Vec::new();
     let mut first = written;
     while let ExprKind::Binary(operator, a, b) = &first.kind {
@@ -265,7 +265,7 @@ fn to_real(value: Typed) -> Typed {
     unary(Term::ToReal, Type::Real, value, span)
 }
 
-/// The expression of a value, if the value is a bool, as an `if` needs it; any other type is reported.
+/// The expression of a value, if the value is a bool, as an `if` needs. Reports a value of any other type.
 pub(super) fn truth(leaves: &mut impl Leaves, value: Typed, of: &str) -> Option<Typed> {
     if value.of == Type::Bool {
         return Some(value);

@@ -191,7 +191,7 @@ impl<'a> Resolver<'a> {
         None
     }
 
-    /// The head of an earlier handler with the same trigger.
+    /// The head of an earlier handler of the task with the same trigger.
     fn same_trigger(&self, task: TaskId, trigger: &Trigger) -> Option<crate::Span> {
         let same = |other: &Trigger| match (trigger, other) {
             (Trigger::Message(a), Trigger::Message(b)) => a == b,
@@ -207,7 +207,8 @@ impl<'a> Resolver<'a> {
     }
 }
 
-/// The diagnostic for a handler's variable that hides the task's. By contrast, `receive p(x)` assigns to the task's.
+/// The diagnostic for a handler's variable that hides a variable of the task. By contrast, `receive p(x)` assigns to the
+/// task's variable.
 fn hides(name: &Name, first: crate::Span) -> Diagnostic {
     let message = format!("`{}` hides the task's variable `{}` in this handler", name.text, name.text);
     Diagnostic::warning(HIDES, name.span, message)

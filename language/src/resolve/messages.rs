@@ -50,7 +50,8 @@ impl<'a> Thread<'_, 'a> {
         self.report(found);
     }
 
-    /// Splits off the recipients: tasks or modules in front of the arguments. A variable of such a name is an argument.
+    /// Splits off the recipients: tasks or modules in front of the arguments. A variable with the name of a task or module
+    /// is an argument.
     pub fn recipients(
         &mut self,
         port: PortId,
@@ -89,8 +90,8 @@ impl<'a> Thread<'_, 'a> {
         whole.then_some((to, written.get(named..).unwrap_or_default()))
     }
 
-    /// The expressions for the fields of a message, one for each field. A record variable stands for all its
-    /// fields.
+    /// The expressions for the fields of a message, one for each field. A record variable among the expressions stands for
+    /// all its fields.
     pub fn values(
         &mut self,
         written: &'a [Written],
@@ -153,8 +154,8 @@ impl<'a> Thread<'_, 'a> {
         self.report(found);
     }
 
-    /// The variables into which the fields of a message are stored: as many variables as fields, each of a
-    /// type that its field fits.
+    /// The variables into which the fields of a message are stored: as many variables as fields, each of a type into which
+    /// its field fits.
     pub fn destinations(
         &mut self,
         written: &'a [Place],

@@ -1,6 +1,7 @@
 //! Name resolution: turns the AST into the HIR. Names become positions, expressions get types (C1..C7).
 //!
-//! Each fault is reported once: what could not be resolved is left out or *poisoned*, so that its uses are not reported, too.
+//! Each fault is reported once: what could not be resolved is left out or *poisoned*, so that uses of it are not reported,
+//! too.
 
 mod actions;
 mod cell;
@@ -53,7 +54,7 @@ impl Resolved {
     }
 }
 
-/// Resolves the names of a file and types its expressions. `text` is the file's text, for its lines.
+/// Resolves the names of a file and types its expressions. `text` is the file's text, which gives the line numbers.
 #[must_use]
 pub fn resolve(file: &ast::File, text: &str) -> Resolved {
     resolve_rest(file, text, &Lost::default())
@@ -87,14 +88,14 @@ struct Resolver<'a> {
     hir: Hir,
     found: Vec<Diagnostic>,
     nodes: Names,
-    /// The links by their two nodes, the lower first: positions in [`Hir::links`].
+    /// The links: for each pair of nodes, the lower first, the position in [`Hir::links`].
     links: BTreeMap<(NodeId, NodeId), usize>,
     records: Names,
     tasks: Names,
     ports: Names,
     /// The modules and their tasks (D32).
     modules: BTreeMap<&'a str, Vec<TaskId>>,
-    /// The names of wrong declarations.
+    /// The names whose declarations are wrong.
     poison: Poison<'a>,
     /// The declarations of the tasks, in the order of [`Hir::tasks`].
     written: Vec<&'a ast::TaskDecl>,
@@ -104,9 +105,9 @@ struct Resolver<'a> {
     broken_records: BTreeSet<usize>,
     /// Variables of unknown types. Their uses are not checked.
     broken_variables: BTreeSet<(TaskId, &'a str)>,
-    /// Ports with an unknown name in their `user_list`, by position. Any task may be meant.
+    /// Ports with an unknown name in their `user_list`, by position. Any task may be such a user.
     guessed_users: BTreeSet<usize>,
-    /// Tasks with a `use_port` of an unknown port. Any port may be meant.
+    /// Tasks with a `use_port` of an unknown port. Any port may be the one that was meant.
     guessed_uses: BTreeSet<TaskId>,
     /// The work couples as written: standby, primary, and whether they swap roles.
     coupled: Vec<(&'a str, &'a str, bool)>,
@@ -116,7 +117,7 @@ struct Resolver<'a> {
     heartbeats: Vec<PortId>,
     /// Whether a couple has no valid heartbeat port.
     heartbeats_unknown: bool,
-    /// The parts that could not be parsed.
+    /// The parts of the file that could not be parsed.
     lost: Lost,
 }
 

@@ -8,7 +8,7 @@ use crate::span::Span;
 use imrs_protocol::{NodeId, PortId, TaskId};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The positions of named things, by name.
+/// A table of names: the position of each named thing in its list, and where it is declared.
 #[derive(Debug, Default)]
 pub(super) struct Names(BTreeMap<String, (usize, Span)>);
 
@@ -17,7 +17,7 @@ impl Names {
         self.0.get(name).map(|&(at, _)| at)
     }
 
-    /// Adds a name. If it is taken, returns the span of its first declaration.
+    /// Adds a name. If the name is taken, returns the span of its first declaration.
     pub fn add(&mut self, name: &Name, at: usize) -> Result<(), Span> {
         if let Some(&(_, first)) = self.0.get(&name.text) {
             return Err(first);
@@ -31,7 +31,7 @@ impl Names {
     }
 }
 
-/// Names of wrong declarations: their uses are not reported.
+/// Names whose declarations are wrong: uses of these names are not reported.
 #[derive(Debug, Default)]
 pub(super) struct Poison<'a> {
     pub nodes: BTreeSet<&'a str>,
@@ -40,7 +40,8 @@ pub(super) struct Poison<'a> {
     pub ports: BTreeSet<&'a str>,
 }
 
-/// How many known names a diagnostic lists if none is similar; of more names it lists the nearest.
+/// The greatest number of known names that a diagnostic lists if none is similar. If more are known, it lists the nearest
+/// ones.
 const SHOWN: usize = 12;
 
 /// The name among `known` that was probably meant.
@@ -64,7 +65,7 @@ fn nothing_called(what: &str, name: &Name) -> Diagnostic {
     Diagnostic::error(UNKNOWN_NAME, name.span, message).label(format!("no {what} has this name"))
 }
 
-/// A similar name, or the names that exist.
+/// A hint for an unknown name: a similar name, or the names that exist.
 pub(super) fn meant<'n>(name: &str, known: impl IntoIterator<Item = &'n str>) -> String {
     let mut known: Vec<&str> = known.into_iter().filter(|name| !name.starts_with('(')).collect();
     if let Some(other) = nearest(name, known.iter().copied()) {
@@ -102,7 +103,7 @@ impl<'a> Resolver<'a> {
         None
     }
 
-    /// A record; none if some of its fields are unknown, which was reported at its declaration.
+    /// The record of this name; `None` if some of its fields are unknown, which was reported at its declaration.
     pub(super) fn record(&mut self, name: &'a Name) -> Option<usize> {
         let at = self.records.get(&name.text);
         if at.is_none() && self.poison.records.insert(&name.text) {

@@ -1,4 +1,4 @@
-//! Resolves the options of ports and checks which fit (Figures 1 and 2, D9).
+//! Resolves the options of ports, and checks which options fit the port (Figures 1 and 2, D9).
 
 use super::ports::Options;
 use super::{OPTION, Resolver};
@@ -9,8 +9,8 @@ use crate::span::Span;
 use imrs_protocol::{Class, Usage};
 
 impl<'a> Resolver<'a> {
-    /// The options of a declaration. Reports options that are given twice, and options of a user that only the
-    /// owner may give.
+    /// The options of a port's declaration. Reports options that are given twice, and options of a user that only the owner
+    /// may give.
     pub(super) fn options(&mut self, decl: &'a PortDecl) -> Options<'a> {
         let mut options = Options::default();
         let mut seen: Vec<(&'static str, Span)> = Vec::new();
@@ -129,7 +129,7 @@ impl<'a> Resolver<'a> {
         })
     }
 
-    /// The class of a port: messages that are answered are class 2 (§3, D7).
+    /// The class of a port: if messages are answered, the port has class 2 (§3, D7).
     pub(super) fn class(
         &mut self,
         decl: &'a PortDecl,

@@ -12,7 +12,7 @@ use imrs_protocol::{Class, TaskId, Usage};
 /// How many bytes of a task's values fit in an arrival at a `waitfor`, or in an answer to a heartbeat (D47, D61).
 pub(super) const SHORT: usize = 8;
 
-/// The fields of a message, and the record that declares them.
+/// The fields of a port's messages, and the record that declares these fields.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Message {
     pub record: Option<usize>,
@@ -50,7 +50,7 @@ impl<'a> Resolver<'a> {
         if let Err(first) = self.ports.add(&decl.name, self.hir.ports.len()) {
             return self.second_owner(owner, decl, first);
         }
-        // A wrong port is added, too, because the names of the ports map to positions in this list.
+        // A wrong port is added to the list, too, because the names of ports map to positions in this list.
         let at = self.hir.ports.len();
         let options = self.options(decl);
         let message = self.message(decl, options.format).unwrap_or_else(|| {
@@ -132,7 +132,8 @@ impl<'a> Resolver<'a> {
             }
             _ => duplicate("ports", &decl.name, first),
         };
-        // The statements of this task name a port that does not exist; poisoning avoids a second report for each.
+        // The statements of this task name a port that does not exist; poisoning the name avoids a further report for each
+        // of them.
         self.poison.ports.insert(&decl.name.text);
         self.poisoned_ports.extend(self.ports.get(&decl.name.text));
         self.report(found);
@@ -197,7 +198,7 @@ impl<'a> Resolver<'a> {
         users
     }
 
-    /// The fields of a message: the parameters, a record's fields, or those of `message_format` (R41, C5, C7).
+    /// The fields of a port's messages: the parameters, a record's fields, or the fields of `message_format` (R41, C5, C7).
     pub(super) fn message(&mut self, decl: &'a PortDecl, format: Option<&'a Name>) -> Option<Message> {
         let mut broken = false;
         let format = format.and_then(|name| {
@@ -274,7 +275,7 @@ impl<'a> Resolver<'a> {
         whole.then_some(Message { record: None, fields })
     }
 
-    /// The fields of an answer.
+    /// The fields of the answers to a port's messages.
     fn answer(&mut self, decl: &'a PortDecl, usage: Usage, message: &Message) -> Option<Vec<Field>> {
         let fields = match (&decl.answer, usage) {
             (Some(of), _) => self.answer_of(of),
@@ -362,7 +363,7 @@ pub(super) fn adopted(decl: &PortDecl, said: &[Field], fields: &[Field]) -> Vec<
     adopted
 }
 
-/// `int16, bool`
+/// The types of these fields as text: `int16, bool`.
 pub(super) fn types(fields: &[Field]) -> String {
     let words: Vec<&str> = fields.iter().map(|field| super::expr::word(field.of)).collect();
     words.join(", ")

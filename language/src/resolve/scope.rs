@@ -1,4 +1,4 @@
-//! Scopes: the variables of a task, and those of a handler, which hide them.
+//! Scopes: the variables of a task, and the variables of a handler, which hide those of the task.
 
 use super::names::meant;
 use crate::ast::{Name, Place};
@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 pub(super) enum Entity {
     /// A plain variable.
     Plain(Slot, Type),
-    /// A record: its first field has this slot, the others follow.
+    /// A record: its first field has the slot `first`, the other fields follow.
     Record { record: usize, first: Slot },
     /// The name of a timer.
     Timer(TimeId),
@@ -32,7 +32,7 @@ pub(super) struct Scope<'a> {
 }
 
 impl<'a> Scope<'a> {
-    /// Adds a name. If it is taken, returns the span of its first declaration.
+    /// Adds a name. If the name is taken, returns the span of its first declaration.
     pub fn add(&mut self, name: &'a Name, entity: Entity) -> Result<(), Span> {
         if let Some(&(_, first)) = self.names.get(name.text.as_str()) {
             self.twice.push(name.span);
@@ -42,7 +42,7 @@ impl<'a> Scope<'a> {
         Ok(())
     }
 
-    /// Adds a variable of a handler. It hides a variable of the task.
+    /// Adds a variable of a handler. It hides a variable of the task with the same name.
     pub fn shadow(&mut self, name: &'a Name, entity: Entity) {
         self.names.insert(&name.text, (entity, name.span));
     }
@@ -68,10 +68,10 @@ impl<'a> Scope<'a> {
         self.names.keys().copied()
     }
 
-    /// The meaning of a place: one variable, the fields of a record, or a timer.
+    /// What a place in a statement means: one variable, the fields of a record, or a timer.
     ///
     /// # Errors
-    /// The diagnostic; none if the fault was reported before.
+    /// The diagnostic; `None` if the fault was reported before.
     pub fn place(&self, place: &Place, records: &[Record]) -> Result<Found, Option<Box<Diagnostic>>> {
         let [name, rest @ ..] = &place.path[..] else { return Err(None) };
         let Some(entity) = self.get(&name.text) else {
@@ -110,7 +110,7 @@ impl<'a> Scope<'a> {
     }
 }
 
-/// The meaning of a place.
+/// What a place in a statement means.
 #[derive(Clone, Debug)]
 pub(super) enum Found {
     One(Destination),
@@ -126,7 +126,7 @@ fn no_field(record: &Record, field: &Name) -> Diagnostic {
     found.help(meant(&field.text, record.fields.iter().map(|field| field.name.as_str())))
 }
 
-/// `me.height`
+/// The names of a place as text: `me.height`.
 pub(super) fn path(names: &[Name]) -> String {
     let names: Vec<&str> = names.iter().map(|name| name.text.as_str()).collect();
     names.join(".")

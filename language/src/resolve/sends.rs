@@ -143,7 +143,7 @@ impl<'a> Thread<'_, 'a> {
         Some(StatementKind::Receive { port: Some(port), into: into?, from: from.flatten(), within })
     }
 
-    /// The head of the handler for a port's messages.
+    /// The head of the task's handler for this port's messages.
     fn handler_of(&self, port: PortId) -> Option<Span> {
         let written = self.resolver.written.get(self.task.index())?;
         let name = &self.resolver.hir.ports[port.index()].name;
@@ -269,7 +269,7 @@ impl<'a> Thread<'_, 'a> {
         Some(StatementKind::Waitfor { port, values, within })
     }
 
-    /// `alive := p`: sets what the answers to the heartbeats carry (D61).
+    /// Resolves `alive := p`, which sets what the answers to the heartbeats carry (D61).
     pub fn publish(&mut self, port: PortId, name: &'a Name, value: &'a Written) -> Option<StatementKind> {
         if !self.resolver.heartbeats.contains(&port) {
             if self.resolver.heartbeats_unknown {
@@ -295,7 +295,7 @@ impl<'a> Thread<'_, 'a> {
         Some(StatementKind::Publish { port, values })
     }
 
-    /// The heartbeat port that an expression names.
+    /// The heartbeat port that an expression names, if it names one.
     pub fn heartbeats_of(&self, value: &Written) -> Option<PortId> {
         let ast::ExprKind::Path(Place { path, .. }) = &value.kind else { return None };
         let [name] = &path[..] else { return None };
@@ -303,7 +303,7 @@ impl<'a> Thread<'_, 'a> {
         port.map(PortId::from_index).filter(|port| self.resolver.heartbeats.contains(port))
     }
 
-    /// `p := alive`: reads the record that the other task of the couple last sent with its heartbeats (D61).
+    /// Resolves `p := alive`, which reads the record that the other task of the couple last sent with its heartbeats (D61).
     pub fn published(&mut self, port: PortId, place: &'a Place) -> Option<StatementKind> {
         let declared = self.resolver.hir.ports[port.index()].clone();
         if declared.usage_of(self.task).is_none() {

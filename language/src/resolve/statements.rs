@@ -15,12 +15,12 @@ pub(super) struct Thread<'r, 'a> {
     pub resolver: &'r mut Resolver<'a>,
     pub task: TaskId,
     pub scope: &'r Scope<'a>,
-    /// The variables of a handler; none in a body.
+    /// The variables of a handler; `None` in a body.
     pub locals: Option<Vec<Variable>>,
     pub captures: Vec<Capture>,
-    /// The ports from which the last message may have been received.
+    /// The ports from which the thread may have received its last message.
     pub received: Vec<PortId>,
-    /// Whether a message may have been received from an unknown port.
+    /// Whether the thread may have received a message from an unknown port.
     pub received_unknown: bool,
     /// How many loops enclose the current statement.
     loops: usize,
@@ -114,7 +114,7 @@ impl<'r, 'a> Thread<'r, 'a> {
         })
     }
 
-    /// Resolves the body of a loop. Its beginning may answer a message that its end received in the iteration before.
+    /// Resolves a loop's body, whose beginning may answer a message that its end received in the iteration before.
     fn looped(&mut self, body: &'a [ast::Statement]) -> Vec<Statement> {
         let before = self.received.clone();
         let mut later = Vec::new();
@@ -289,7 +289,7 @@ impl<'r, 'a> Thread<'r, 'a> {
         Some(StatementKind::Order(ranked))
     }
 
-    /// An entry of an `order`: a port, a task, a timer of this task, all `timers`, or `self`.
+    /// Resolves an entry of an `order`: a port, a task, a timer of this task, all `timers`, or `self`.
     fn ranked(&mut self, name: &'a ast::Name) -> Option<Ranked> {
         let word = name.text.to_ascii_lowercase();
         if word == "self" {
@@ -384,7 +384,7 @@ impl<'r, 'a> Thread<'r, 'a> {
         }
     }
 
-    /// The slot that says whether the values of a task are known. The slots of their fields follow.
+    /// The slot that says whether the values of a task are known. The slots of these values follow.
     pub fn told(&mut self, port: PortId, task: TaskId, fields: &[Field], span: Span) -> Slot {
         let what = Captured::Told(port, task);
         let is_new = self.captures.iter().all(|known| known.what != what);
@@ -396,7 +396,7 @@ impl<'r, 'a> Thread<'r, 'a> {
     }
 }
 
-/// The value of a variable.
+/// An expression that reads a variable.
 pub(super) fn load(place: Destination, span: Span) -> Expr {
     use imrs_protocol::script::{Op, Term};
     Expr { of: place.of, ops: vec![Op::Term(Term::Load(place.slot))], span }
@@ -431,7 +431,7 @@ fn received_in<'a>(statements: &'a [ast::Statement], into: &mut Vec<&'a ast::Nam
     }
 }
 
-/// The keywords of a branch.
+/// The keywords of a branch, as text.
 pub(super) const fn branch_word(kind: BranchKind) -> &'static str {
     match kind {
         BranchKind::TimeOut => "on time_out",

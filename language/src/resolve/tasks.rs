@@ -146,7 +146,7 @@ impl<'a> Resolver<'a> {
         self.hir.tasks[id.index()].variables.push(Variable { name, of, span });
     }
 
-    /// Checks that standbys have a `takeover`, and no other task has one (D61).
+    /// Checks that a standby has a `takeover`, and that no other task has one (D61).
     fn role(&mut self, id: TaskId, task: &'a ast::TaskDecl) {
         let (stands_by, mutual) = self.stands_by(id);
         let declared = &self.hir.tasks[id.index()];

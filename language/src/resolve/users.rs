@@ -57,7 +57,7 @@ impl<'a> Resolver<'a> {
                 self.report(found);
             }
             let (listed, span) = (decl.name.span, None);
-            // The user is added even if the `user_list` does not name it, so that its statements on the port are not
+            // The user is added even if the `user_list` does not name it, so that the task's statements on the port are not
             // reported, too.
             let user = User { task, time_out: None, rate: None, retry: None, listed, span };
             self.hir.ports[id.index()].users.push(user);
@@ -136,7 +136,7 @@ impl<'a> Resolver<'a> {
         }
     }
 
-    /// Checks that every member of a `user_list` has a `use_port` (C6).
+    /// Checks that every task in a `user_list` has a `use_port` (C6).
     fn every_member(&mut self, at: usize) {
         if self.poisoned_ports.contains(&at) {
             return;

@@ -12,7 +12,7 @@ use crate::span::Span;
 use imrs_protocol::script::{Binary, Op, StatementOutcome, Term, Type};
 use imrs_protocol::{Class, PortId, TaskId, Usage};
 
-/// The names of outcomes; `done` stands for every good one.
+/// The names of outcomes; `done` stands for every good outcome.
 const OUTCOMES: [(&str, &[StatementOutcome]); 15] = [
     (
         "done",
@@ -147,13 +147,13 @@ impl Leaves for Thread<'_, '_> {
 }
 
 impl Thread<'_, '_> {
-    /// The number of the last received message.
+    /// Resolves `ticket`: the number of the last received message.
     fn ticket(&mut self, span: Span) -> Typed {
         let (slot, of) = self.capture(Captured::Ticket, span);
         Typed::new(of, vec![Op::Term(Term::Load(slot))], span)
     }
 
-    /// `lift.height(armR)`: a value that a member brought to a waitfor, or sent in its answer (D93).
+    /// Resolves `lift.height(armR)`: a value that a member brought to a waitfor, or sent in its answer (D93).
     fn told_by(&mut self, port: PortId, task: TaskId, word: &Name, span: Span) -> Option<Typed> {
         let declared = self.resolver.hir.ports[port.index()].clone();
         let meets = declared.usage == Usage::Waitfor;

@@ -1,4 +1,5 @@
-//! Values from other tasks, in meetings, answers and heartbeats, and replies that come later or from a third task (D93).
+//! Values of other tasks, in meetings, answers and heartbeats; replies that a task gives later; and replies of third
+//! parties (D93).
 
 use super::{all_found, begun, found, virtual_cell, whole};
 use imrs_language::lower::Behaviour;
@@ -247,7 +248,7 @@ fn figure_1_is_compiled_as_it_is_printed() {
     assert!(codes.iter().all(|code| !code.starts_with('E')), "{codes:?}");
     let lowered = compiled.lower(Unit::Ticks).expect("a whole cell");
     assert_eq!(lowered.cell.rules, Rules::PAPER);
-    // By the paper's rules a rejection always has a penalty: if none is declared, it is a tick.
+    // By the paper's rules a rejection always has a penalty. If the port declares none, the penalty is a tick.
     let penalty = lowered.cell.ports[0].penalty.expect("a penalty");
     assert_eq!((penalty.length, penalty.literal), (Ticks(1), true));
     let plain = compile_with(&source, Options::default()).lower(Unit::Ticks).expect("a whole cell");

@@ -72,7 +72,7 @@ fn meetings() {
     let wait = "waitfor m() on time_out do abort \"\"; end;";
     let uses = "use_port m() usage = waitfor;";
     check(&pair(&format!("{meet} begin {wait}"), &format!("{uses} begin {wait}")), &[]);
-    // In this cell the owner does not reach the waitfor.
+    // In this cell the owner of the waitfor does not reach it.
     check(&pair(&format!("{meet} begin skip;"), &format!("{uses} begin {wait}")), &["E104 `m`"]);
     check(&pair(&format!("{meet} begin {wait}"), &format!("{uses} begin skip;")), &["E104 `b`"]);
     // In the first cell a task has no statements yet; in the second one a Rust program is its behaviour.
@@ -83,7 +83,7 @@ fn meetings() {
         &pair(&format!("{meet} begin waitfor m();"), &format!("{uses} begin {wait}")),
         &["E208 `waitfor m()`"],
     );
-    // Both tasks reach the waitfor on a condition, which may be the same one.
+    // Both tasks reach the waitfor under some condition, which may be the same for both.
     let sometimes = format!("var x: bool; begin run look -> x; if x then {wait} end;");
     check(&pair(&format!("{meet} {sometimes}"), &format!("{uses} {sometimes}")), &[]);
 }
@@ -96,8 +96,8 @@ fn rings_of_meetings_and_of_calls() {
     let uses = "use_port m() usage = waitfor; use_port n() usage = waitfor; begin";
     check(&pair(&a, &format!("{uses} loop {} {} end;", wait("m"), wait("n"))), &[]);
     check(&pair(&a, &format!("{uses} loop {} {} end;", wait("n"), wait("m"))), &["E203 `waitfor m()`"]);
-    // A statement is not certain to run behind an `abort` or behind a loop without an `exit`. Behind a loop with an `exit`
-    // it is.
+    // A statement behind an `abort`, or behind a loop without an `exit`, is not certain to run. Behind a loop with an
+    // `exit` it is certain to run.
     let b = format!("{uses} loop {} {} end;", wait("n"), wait("m"));
     let head = format!("{} {} begin", port("m"), port("n"));
     let (m, n) = (wait("m"), wait("n"));
@@ -105,7 +105,7 @@ fn rings_of_meetings_and_of_calls() {
     check(&pair(&format!("{head} {m} abort \"off\"; {n}"), &b), &never);
     check(&pair(&format!("{head} loop {m} end; {n}"), &b), &never);
     check(&pair(&format!("{head} loop {m} exit; end; {n}"), &b), &["E203 `waitfor m()`"]);
-    // If tasks ask each other one after the other, there is no ring.
+    // Tasks that ask each other at different times, one after the other, form no ring.
     let a = "port p() usage = query user_list = {b} time_out = 50 msec; use_port q() usage = response; begin loop query p() on time_out do skip; end; receive q(); response(); end;";
     let b = "use_port p() usage = response; port q() usage = query user_list = {a} time_out = 50 msec; begin";
     let ask = "query q() on time_out do skip; end;";
@@ -188,8 +188,8 @@ begin loop query q(1) on time_out do skip; end; send go() on time_out do skip; e
 fn what_a_body_receives_is_answered_on_every_path() {
     let forgets = |body: &str| received("", body);
     let (q, go) = ("W308 `receive q(n)`", "W308 `receive go()`");
-    // On some path the task leaves the message unanswered: at the next iteration, at the end of the task, at another
-    // message, or in a loop that never answers.
+    // In each of these bodies some path leaves the message unanswered: at the next iteration, at the end of the task, when
+    // another message comes, or in a loop that never answers.
     assert_eq!(forgets("loop receive q(n); if n > 0 then response(); end; end;"), [q]);
     assert_eq!(forgets("receive q(n); if n > 0 then response(); end;"), [q]);
     assert_eq!(forgets("loop receive q(n); receive go(); reply(); end;"), [q]);
@@ -223,7 +223,7 @@ fn what_a_body_receives_is_answered_on_every_path() {
     }
 }
 
-/// If a task asks how the `receive` ended, it knows whether there is a message to answer.
+/// If a task asks how the `receive` ended, the task knows whether there is a message to answer.
 #[test]
 fn a_receive_that_brought_nothing_needs_no_answer() {
     let forgets = |body: &str| received("var got: bool;", body);
@@ -251,7 +251,7 @@ fn what_a_handler_receives_is_answered_on_every_path() {
     assert_eq!(handler("receive q(m); response();"), [""; 0]);
 }
 
-/// A `reply` that fails had nothing to answer.
+/// If a `reply` failed, there was no message to answer.
 #[test]
 fn a_handler_that_looks_whether_its_answer_left_has_answered() {
     let b = "use_port q() usage = response; var late: bool; begin order q > self;
@@ -348,10 +348,10 @@ fn a_take_over_is_said_with_its_parts() {
     let parts =
         "must reach 301080 usec: lease 100 msec + 200 msec of `grab` + 1080 usec for the tick and the drift";
     assert_eq!((found.code, &found.primary.text[..]), ("E305", parts));
-    // The check accepts the advised value, although a longer take-over drifts more.
+    // The check accepts the advised value, although the clocks drift apart further in a longer take-over.
     assert!(found.help[0].starts_with("give it 302 msec, or shorten"), "{:?}", found.help);
     assert!(serious(&WELD.replace("takeover 400 msec", "takeover 302 msec")).is_empty());
-    // The sum of these times exceeds 64 bits.
+    // The sum of the couple's times exceeds 64 bits.
     let endless = serious(&WELD.replace("lease 100 msec", "lease 18446744073709551 msec")).remove(0);
     assert_eq!(endless.code, "E305");
 }

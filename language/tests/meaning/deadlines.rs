@@ -21,13 +21,13 @@ fn asks(links: usize, port: &str, a: &str, b: &str) -> String {
 
 const ASK: &str = "loop query q() on time_out do skip; end on refused do skip; end; end;";
 
-/// The findings about durations for a query with this time_out and this answer.
+/// The findings about durations, for a query with this time_out and with this answer.
 fn of_query(links: usize, time_out: u64, answer: &str) -> Vec<String> {
     let text = asks(links, &format!("usage = query time_out = {time_out} msec"), ASK, answer);
     all_found(&text).into_iter().filter(|found| !found.starts_with("N201")).collect()
 }
 
-/// The least time_out without E201, and the least without W318 either.
+/// The least time_out without E201, and the least time_out without both E201 and W318.
 #[track_caller]
 fn limits(links: usize, answer: &str) -> (u64, u64) {
     let first = |code: &str| {
@@ -42,10 +42,10 @@ fn limits(links: usize, answer: &str) -> (u64, u64) {
 #[test]
 fn the_way_counts_with_each_link_and_ticks_only_warn() {
     let handler = "begin order q > self; on query q() do response(); end;";
-    // The route takes 2, 4 or 6 msec in each direction. A node may also act a tick late on each link, there
-    // and back, but need not.
+    // The route takes 2, 4 or 6 msec in each direction. On each link, in each direction, a node may also act a tick late,
+    // but need not.
     assert_eq!([1, 2, 3].map(|links| limits(links, handler)), [(5, 7), (9, 13), (13, 19)]);
-    // Within one node there is no link delay: four ticks are the least.
+    // Within one node there is no link delay: the least time_out is four ticks.
     assert_eq!(limits(0, handler), (1, 4));
 }
 
@@ -61,7 +61,7 @@ fn the_work_of_an_answer_counts() {
     };
     assert_eq!(on("run look takes 10..30 msec; response();"), (15, 37));
     assert_eq!(on("delay 10 msec; run look takes 1..2 msec; response();"), (16, 19));
-    // Statements behind the answer, or in an optional branch, do not count.
+    // Statements that come after the answer, or in an optional branch, do not count.
     assert_eq!(on("response(); run look takes 10..30 msec;"), (5, 7));
     assert_eq!(on("if x then run look takes 10..30 msec; end; response();"), (5, 7));
     assert_eq!(on("if x then delay 9 msec; response(); else delay 12 msec; response(); end;"), (14, 16));
@@ -184,7 +184,8 @@ fn offered(text: &str) -> Option<(String, String)> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 200, ..ProptestConfig::default() })]
 
-    /// Following the help is enough: no check of a time_out reports the mended cell, and the table accepts it.
+    /// A user who follows the help is done: no check of a time_out reports the changed cell, and the protocol's table
+    /// accepts it.
     #[test]
     fn who_follows_the_help_is_done(
         (tick, delay, least) in (1_u64..3_000, 0_u64..9_000, 0_u64..9_000),

@@ -1,4 +1,4 @@
-//! The end of a task without a branch for a bad outcome: the reason names the statement and its line.
+//! Tasks without a branch for a bad outcome: the reason for which such a task ends names the statement and its line.
 
 use super::{begun, whole};
 use imrs_language::Unit;

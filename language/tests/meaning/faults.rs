@@ -1,4 +1,4 @@
-//! Each code about names and types, with the place that it points at. Each fault is reported once.
+//! Each code about names and types, with the place at which its diagnostic points. Each fault is reported once.
 
 use super::{BEAM_LIFT, WELD, compile, found, source, whole};
 
@@ -362,7 +362,7 @@ fn what_the_table_refuses_stands_on_its_line() {
 
 #[test]
 fn a_fault_is_said_once() {
-    // The port itself is wrong, so its uses are not reported, too.
+    // The port itself is wrong, so uses of the port are not reported, too.
     let text = pair(
         "port p(v: Poss) usage = send user_list = {b} time_out = 5 msec;",
         "var x: Poss; begin send p(x); x.y := 1;",

@@ -14,7 +14,8 @@ fn script<'l>(lowered: &'l Lowered, task: &str) -> &'l Script {
     }
 }
 
-/// The operations of a task, one a line. A statement is shown as its first source line.
+/// The operations of a task, one a line. In front of the operations of a statement stands the first source line of that
+/// statement.
 fn listing(text: &str, unit: Unit, task: &str) -> String {
     let lowered = whole(text).lower(unit).expect("a whole cell");
     let script = script(&lowered, task);
@@ -96,7 +97,8 @@ fn a_primary_waits_for_its_lease_and_a_standby_takes_over() {
     assert!(primary.takeover.is_none());
     let standby = &script(&lowered, "r2").program;
     assert!(standby.takeover.is_some() && !standby.code.contains(&Op::Lease));
-    // The ports on which the couple commands other tasks are under its lease. The ports between its own tasks are not.
+    // The ports on which the couple commands other tasks are under its lease. The ports between the couple's own tasks are
+    // not.
     let guards: Vec<_> = lowered.cell.ports.iter().map(|port| (port.name.as_str(), port.guard)).collect();
     assert_eq!(guards, [("grab", Some(0)), ("free", Some(0)), ("prog", None), ("alive", None)]);
 }
@@ -116,7 +118,8 @@ fn durations_are_rounded_to_the_tick_and_said() {
     assert!(code.contains(&Op::Delay(Ticks(13))));
     assert!(code.iter().any(|op| matches!(op, Op::Start { length: Ticks(1), .. })));
     assert_eq!(lowered.cell.ports[2].time_out, Ticks(90));
-    // The notes are about the least and the most time, the delay and the time_out. The `model tick` rounds nothing.
+    // The notes are about the least and the most time of the action, the delay and the time_out. The `model tick` rounds
+    // nothing.
     assert_eq!(lowered.notes.len(), 4, "{:?}", lowered.notes);
     let usec = compiled.lower(Unit::Microseconds).expect("a whole cell");
     assert!(usec.notes.is_empty());
@@ -140,7 +143,7 @@ fn actions_say_what_they_take_and_what_is_worth_trying() {
     let lowered = whole(BEAM_LIFT).lower(Unit::Ticks).expect("a whole cell");
     let actions = &script(&lowered, "armL").actions;
     let read = actions.iter().find(|action| action.name == "read_height").expect("an action");
-    // `me.height > 900` changes between these values.
+    // The value of `me.height > 900` changes between 900 and 901.
     assert_eq!((read.values.clone(), read.arguments.len()), (vec![900, 901], 0));
     let lowered = whole(WELD).lower(Unit::Ticks).expect("a whole cell");
     let actions = &script(&lowered, "r1").actions;

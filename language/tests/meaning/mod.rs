@@ -28,12 +28,12 @@ fn whole(text: &str) -> Compiled {
     compiled
 }
 
-/// The cell of a text in virtual time, at its start.
+/// The cell of a text in virtual time, before its first step.
 fn virtual_cell(text: &str) -> VirtualCell {
     begun(&whole(text).lower(Unit::Ticks).expect("a whole cell"))
 }
 
-/// A cell in virtual time, at its start. Its scripts choose the first alternative.
+/// A cell in virtual time whose scripts have begun. The scripts choose the first alternative.
 fn begun(lowered: &Lowered) -> VirtualCell {
     let scripts = lowered.tasks.iter().enumerate().map(|(at, behaviour)| {
         let Behaviour::Script(script) = behaviour else { panic!("T{at} is extern") };
@@ -42,8 +42,8 @@ fn begun(lowered: &Lowered) -> VirtualCell {
     VirtualCell::new(lowered.cell.clone()).choosing(0).begin(scripts)
 }
 
-/// The errors of names, types and tables, each as "E101 `source text`". Other checks are left out, because these cells do
-/// little.
+/// The errors of names, types and tables, each as "E101 `source text`". The static checks are left out, because these cells
+/// do little.
 fn found(text: &str) -> Vec<String> {
     let behaviour = ["E104", "E202", "E203", "E204", "E206", "E208", "E209", "E211"];
     let is = |found: &String| {

@@ -18,7 +18,7 @@ fn all(text: &str) {
     }
 }
 
-/// The examples, and the whole cells of the reference: together they contain every statement.
+/// The examples and the whole cells of the reference. Together these texts contain every statement.
 fn texts() -> Vec<&'static str> {
     let pages = [
         include_str!("../../../specs/language/statements.md"),

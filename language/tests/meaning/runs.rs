@@ -1,8 +1,8 @@
-//! Runs the examples.
+//! Runs the example cells in virtual time.
 
 use super::{BEAM_LIFT, WELD, virtual_cell};
 
-/// The entries of the log that contain one of these words, without their times.
+/// The entries of a log that contain one of these words, without their times.
 fn only(log: &[String], words: &[&str]) -> Vec<String> {
     let named = log.iter().filter(|line| words.iter().any(|word| line.contains(word)));
     named.map(|line| line.split_once(' ').expect("a time").1.to_owned()).collect()

@@ -5,10 +5,10 @@ use imrs_language::{Source, parse, render};
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 
-/// A part of a rule.
+/// A part of a rule of the grammar.
 #[derive(Clone, Debug)]
 enum Part {
-    /// Literal text.
+    /// A literal text.
     Sign(String),
     /// Another rule, or a token.
     Rule(String),
@@ -98,7 +98,7 @@ fn sequence(tokens: &[String], at: &mut usize) -> Part {
     }
 }
 
-/// Makes a text from the rules.
+/// Makes a random text from the rules of the grammar.
 struct Making<'a> {
     rules: &'a Rules,
     choices: std::slice::Iter<'a, u8>,
@@ -108,9 +108,9 @@ struct Making<'a> {
 }
 
 impl Making<'_> {
-    /// Chooses a number below `of`. Once the choices have run out it is always the first alternative, so that every
-    /// text ends. The length of expressions is limited (E012), so the generator keeps them small, and choices are left
-    /// for other parts.
+    /// Chooses a number below `of`. Once the random choices have run out, the number is always that of the first
+    /// alternative, so that every text ends. The length of expressions is limited (E012), so the generator keeps them
+    /// small, and choices are left for other parts.
     fn choose(&mut self, of: usize) -> usize {
         if self.depth > 40 || self.exprs > 1 {
             return 0;
@@ -178,7 +178,7 @@ proptest! {
         prop_assert!(parsed.diagnostics.is_empty(), "{shown}");
     }
 
-    /// Makes texts of statements only, which are rare in the test above.
+    /// Makes texts that consist of statements only, which are rare in the test above.
     #[test]
     fn statements_of_the_grammar_are_read(choices in proptest::collection::vec(any::<u8>(), 20..400)) {
         let rules = rules();

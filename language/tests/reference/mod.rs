@@ -1,7 +1,7 @@
 //! The language reference, `specs/language`: every cell in it compiles with the findings that the page shows, the page of
-//! codes is that of the compiler, and the parser accepts whatever the grammar can produce.
+//! codes is the one that the compiler has, and the parser accepts whatever the grammar can produce.
 //!
-//! `IMRS_BLESS=1` rewrites the pages to the actual output; look at the difference before it is kept.
+//! `IMRS_BLESS=1` rewrites the pages to the actual output; look at the difference before you keep it.
 
 mod codes;
 mod grammar;
@@ -9,7 +9,7 @@ mod pages;
 
 use std::path::{Path, PathBuf};
 
-/// The paths of the pages, sorted.
+/// The paths of the reference's pages, sorted.
 fn pages() -> Vec<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../specs/language");
     let mut found: Vec<PathBuf> = std::fs::read_dir(folder)
@@ -27,7 +27,7 @@ fn read(path: &Path) -> String {
     std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// Compares a page with its expected text, or writes it.
+/// Compares a page with the text that it should have; with `IMRS_BLESS=1`, writes that text.
 #[track_caller]
 fn same(path: &Path, should: &str) {
     let is = std::fs::read_to_string(path).unwrap_or_default();

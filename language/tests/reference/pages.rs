@@ -2,13 +2,13 @@
 //!
 //! A block fenced as `cell` is a whole file, and `cell,paper` is one for `--paper`. A block fenced as `cell,NAME` is a part
 //! that goes into a frame: a comment of the page, `<!-- frame NAME`, with a line `...` in place of the part. A block fenced
-//! as `diagnostics` behind such a block lists its findings; without one there are none.
+//! as `diagnostics` behind such a block lists its findings; without such a block it has no findings.
 
 use super::{pages, read, same};
 use imrs_language::{Options, Source, Unit, compile_with, render};
 use std::collections::BTreeMap;
 
-/// The frames of a page: the text in front of the part, and behind it.
+/// The frames of a page: for each name, the text in front of the part, and the text behind it.
 fn frames(page: &str) -> BTreeMap<&str, (&str, &str)> {
     let comments = page.split("<!-- frame ").skip(1).filter_map(|rest| rest.split("\n-->").next());
     comments
@@ -20,7 +20,7 @@ fn frames(page: &str) -> BTreeMap<&str, (&str, &str)> {
         .collect()
 }
 
-/// The findings about a part, with its own lines and columns.
+/// The findings about a part of a cell, with lines and columns counted within the part.
 fn brief(text: &str, from: usize, paper: bool) -> String {
     let source = Source::new(text.as_bytes()).expect("a text");
     let mut said = String::new();
@@ -72,7 +72,7 @@ fn said_of(fence: &str, code: &str, frames: &BTreeMap<&str, (&str, &str)>, page:
     }
 }
 
-/// The page with the actual findings in its blocks of diagnostics, and the number of its cells.
+/// The page with the actual findings in its blocks of diagnostics, and the number of cells on the page.
 fn checked(page: &str, name: &str) -> (String, usize) {
     let frames = frames(page);
     let lines: Vec<&str> = page.lines().collect();

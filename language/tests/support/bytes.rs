@@ -1,4 +1,4 @@
-//! Properties that hold for any bytes; also the body of the fuzz target `cell`.
+//! Checks properties that hold for any bytes; also the body of the fuzz target `cell`.
 
 use imrs_language::lower::Behaviour;
 use imrs_language::{Options, Source, Unit, compile_with, format, parse, render};
@@ -29,7 +29,7 @@ pub fn check(bytes: &[u8]) {
     [false, true].into_iter().for_each(|paper| compiles(&source, paper));
 }
 
-/// Compiles a text, and lowers it in both units. The lowered programs must pass the script machine's own check.
+/// Compiles a text, and lowers it in both units. The lowered programs must pass the check of the script interpreter.
 pub fn compiles(source: &Source, paper: bool) {
     let compiled = compile_with(source, Options { paper });
     for found in &compiled.diagnostics {

@@ -1,4 +1,4 @@
-//! Shared by the tests of the language; the fuzz target `cell` uses `bytes.rs`, too.
+//! Code that the tests of the language share. The fuzz target `cell` uses `bytes.rs`, too.
 
 pub mod bytes;
 

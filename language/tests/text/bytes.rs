@@ -1,12 +1,12 @@
-//! Any bytes: the compiler does not panic, its findings are few and inside of the text, and formatting is idempotent and
-//! changes no meaning.
+//! Tests on any bytes: the compiler does not panic, its findings are few and within the text, and formatting is idempotent
+//! and changes no meaning.
 
 use super::{BEAM_LIFT, PAPER, WELD};
 use proptest::prelude::*;
 
 use crate::support::bytes::check;
 
-/// Keywords and signs in any order.
+/// A text of keywords and signs in any order.
 fn soup() -> impl Strategy<Value = String> {
     let words: Vec<&'static str> = imrs_language::Word::RESERVED
         .iter()

@@ -1,4 +1,4 @@
-//! Tests that each fault is reported once, with the text to write instead.
+//! Tests that each fault is reported once, and that the report says what to write instead.
 
 use imrs_language::codes::ALL;
 use imrs_language::{Diagnostic, Options, Severity, Source, compile_with, parse};
@@ -78,8 +78,8 @@ fn mutated(text: &str, tokens: &[(usize, usize)], seed: &mut u64) -> String {
     format!("{}{other}{}", &text[..begin], &text[end..])
 }
 
-/// A file with one fault seldom has more than a few errors: nearly always at most three. It has more only if the fault
-/// is in a declaration that the other parts need.
+/// If one word of a file is wrong, the compiler reports few errors: nearly always at most three. It reports more only if
+/// the word is in a declaration that other parts of the file need.
 #[test]
 fn one_wrong_word_is_few_errors() {
     let (mut seed, mut number, mut many, mut one, mut mute) = (7, 0, Vec::new(), 0, Vec::new());
@@ -120,7 +120,7 @@ const MOSTLY_ONE: usize = 85;
 /// The greatest percentage of the faulty mutants that may have more than three errors.
 const SELDOM_MORE: usize = 1;
 
-/// The wrong example of each page gives one finding, through all phases, and the finding says what to write.
+/// The wrong example of each page gives one finding in all phases together, and the finding says what to write.
 #[test]
 fn each_wrong_example_is_one_finding() {
     let mut surprising = Vec::new();
@@ -192,7 +192,7 @@ fn a_fault_of_a_declaration_is_not_one_of_its_uses() {
         "port p(n: int8) usage = receive user_list = {a} time_out = 50 msec;",
     );
     assert_eq!(codes(&both), "E103");
-    // If a name is misspelt in a list, or in a `use_port`, the other end is not reported, too.
+    // If a name is misspelt in a list, or in a `use_port`, the other end of the port is not reported, too.
     assert_eq!(codes(&port("class = 2", "").replace("{b}", "{bb}")), "E102");
     assert_eq!(codes(&port("class = 2", "").replace("use_port p(", "use_port pp(")), "E102");
     assert_eq!(

@@ -58,7 +58,7 @@ fn everything_of_the_grammar_can_be_written() {
           on expiry a do exit; end;
           send p({}) ;
         end t;";
-    // A set of receivers is written as plain arguments, without braces.
+    // Braces around a set of receivers are an error: the receivers are written as plain arguments.
     assert_eq!(super::codes(text), ["E005"]);
     let text = text.replace(
         "send p({}) ;",

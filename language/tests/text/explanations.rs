@@ -11,13 +11,14 @@ fn codes(text: &str) -> Vec<&'static str> {
     }
 }
 
-/// The codes of all findings about a whole cell. Only pages about the syntax show parts of cells.
+/// The codes of all findings about a whole cell. Only the pages about syntax show parts of cells, for which `codes` is
+/// used.
 fn codes_of_cell(text: &str, paper: bool) -> Vec<&'static str> {
     let source = Source::new(text.as_bytes()).expect("a text");
     compile_with(&source, Options { paper }).diagnostics.iter().map(|found| found.code).collect()
 }
 
-/// The blocks of a page with this fence.
+/// The blocks of a page that are fenced with this word.
 fn blocks<'p>(page: &'p str, fence: &str) -> Vec<&'p str> {
     let fence = format!("```cell,{fence}\n");
     let begins = page.split(&fence).skip(1);

@@ -1,4 +1,5 @@
-//! The findings about faulty texts. Each file in `tests/faulty` is one; its findings are recorded beside it.
+//! The findings about faulty texts. Each file in `tests/faulty` is such a text; its findings are recorded in a file beside
+//! it.
 
 use super::{codes, rendered, source};
 use imrs_language::{parse, render};
@@ -36,7 +37,8 @@ fn faulty_texts_are_reported_as_recorded() {
     assert!(surprising.is_empty(), "{}", surprising.join("\n"));
 }
 
-/// Syntax, names, types, behaviour and times: each error is reported on its line, and causes no other finding.
+/// Ten different errors (syntax, names, types, behaviour, times): each is reported on its line, and causes no other
+/// finding.
 #[test]
 fn ten_different_errors_are_ten_diagnostics() {
     let text = include_str!("ten.cell");

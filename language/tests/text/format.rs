@@ -176,7 +176,7 @@ fn columns(text: &str) -> Vec<usize> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(150))]
 
-    /// Comments of consecutive lines begin in one column afterwards if and only if they did so before. Each comment has
+    /// After formatting, comments of consecutive lines begin in one column exactly if they did so before. Each comment has
     /// at least two spaces in front of it, and exactly two behind the longest line of its group.
     #[test]
     fn comments_below_each_other_move_together(lines in proptest::collection::vec(commented(), 2..6)) {

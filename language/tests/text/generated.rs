@@ -1,10 +1,10 @@
-//! Texts made from the grammar: they parse without findings, and formatting changes no meaning.
+//! Texts made from the grammar: they parse without findings, and formatting them changes no meaning.
 
 use super::{diagnostics, rendered, source};
 use crate::support::bytes::formats;
 use proptest::prelude::*;
 
-/// Names in either case. Some of them are keywords that a cell may also use as names.
+/// Names in upper and lower case. Some of them are keywords that a cell may also use as names.
 fn name() -> impl Strategy<Value = &'static str> {
     proptest::sample::select(vec![
         "a", "B2", "armL", "x_1", "Rate", "class", "stop", "FROM", "within", "order", "Silence",

@@ -8,7 +8,7 @@ fn in_task(body: &str) -> String {
     format!("cell c; task t on n begin {body} end t;")
 }
 
-/// Too many nodes give one finding, and no routes between them are searched.
+/// A cell with too many nodes gives one finding, and the compiler searches no routes between the nodes.
 #[test]
 fn nodes_have_a_bound() {
     let cell = |nodes: usize, links: &dyn Fn(usize) -> String| {
@@ -75,8 +75,9 @@ fn files_have_a_bound() {
     assert_eq!(Source::new(text.as_bytes()).expect_err("too long").code, "E012");
 }
 
-/// How much of `length` a test uses, and its time limit. With `IMRS_LONGEST` the test uses the whole length, otherwise a
-/// sixteenth. The limits are generous: a phase that takes more than linear time would take minutes for the longest text.
+/// How much of `length` a test uses, and the time limit of the test. With `IMRS_LONGEST` the test uses the whole length,
+/// otherwise a sixteenth. The limits are generous: a phase that takes more than linear time would take minutes for the
+/// longest text.
 fn part_of(length: usize, limit: Duration) -> (usize, Duration) {
     if std::env::var_os("IMRS_LONGEST").is_some() {
         (length, limit)
@@ -139,7 +140,7 @@ fn a_long_text_without_faults_is_read_and_formatted_quickly() {
     assert!(formatted.len() > text.len() && begin.elapsed() < limit);
 }
 
-/// Tests that the check does not visit a nested loop twice for each loop around it.
+/// Tests that the checks do not visit a nested loop twice for each loop around it.
 #[test]
 fn loops_in_loops_are_checked_quickly() {
     let loops = |begin: &str, inside: &str| format!("{} {inside} {}", begin.repeat(58), "end; ".repeat(58));
@@ -162,7 +163,7 @@ fn loops_in_loops_are_checked_quickly() {
             &format!("on query q() do {} end; end b;", loops(begin, inside).replace("receive q();", "skip;")),
         );
         let _ = imrs_language::compile(&source(&handled));
-        // If each loop were visited twice for every loop around it, this would never end.
+        // If the checks visited each loop twice for every loop around it, they would never end.
         assert!(begun.elapsed().as_secs() < 120, "{begin}");
     }
 }

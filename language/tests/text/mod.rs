@@ -1,4 +1,4 @@
-//! The language from outside: texts in; syntax trees, diagnostics and formatted texts out.
+//! Tests of the language from outside: texts go in; syntax trees, diagnostics and formatted texts come out.
 
 mod bytes;
 mod cascades;

@@ -13,14 +13,13 @@ use imrs_protocol::{NodeId, TaskId};
 use imrs_runtime::guard::Notice;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Resolution in microseconds of the order of two steps on different nodes: each time is rounded up to a whole
-/// microsecond. If a state seems to have lasted no longer than this, the steps may have happened in the other order,
-/// without that state.
+/// The resolution, in microseconds, of the order of two steps on different nodes: each time is rounded up to a whole microsecond.
+/// If a state seems to have lasted no longer than this, the two steps may have happened in the other order, without that state.
 const READING: u64 = 1;
-/// How many events may wait until a silent node reports. If more come, the judge drops waiting changes.
+/// How many events the judge keeps while it waits for a silent node's report. If there are more, the judge drops waiting changes.
 const WAITING: usize = if cfg!(test) { 64 } else { 1 << 20 };
-/// Longest silence of a node before it is killed that is normal, in microseconds: a node reports every 20 ms, or later if
-/// busy.
+/// A killed node may have been silent for this long before the kill, in microseconds: a node reports every 20 ms, or later if the
+/// machine is busy.
 const LAST_WORDS: u64 = 1_000_000;
 /// How many breaks of each check are reported in detail.
 const TOLD: usize = 3;
@@ -28,24 +27,24 @@ const TOLD: usize = 3;
 /// Judges the checks of a run.
 pub struct Judge<'a> {
     loaded: &'a Loaded,
-    /// For each task, the values that checks read.
+    /// For each task, which of its values the checks read.
     asks: Vec<Vec<Ask>>,
-    /// For each task, the known values in the order of `asks`; `None` if a value is not known.
+    /// For each task, its present values in the order of `asks`; `None` if a value is not known.
     stand: Vec<Vec<Option<i64>>>,
-    /// For each task, why some of its values are not known; `None` while its node reports all of them, and before its first
-    /// report.
+    /// For each task, why some of its values are not known; `None` while the task's node reports all of them, and before the
+    /// node's first report.
     unknown: Vec<Option<Doubt>>,
     /// The state of each check.
     states: Vec<CheckState>,
     vouched: Vouched,
-    /// Pending events by time, then by the order in which they came.
+    /// Pending events by time; events of the same time in the order in which they came.
     changes: BTreeMap<(u64, u64), Event>,
     came: u64,
-    /// For each node, the instant up to which it has reported everything; `None` if it does not report here.
+    /// For each node, the instant up to which it has reported everything; `None` if the node does not report to this judge.
     told: Vec<Option<u64>>,
-    /// For each node, when it was killed; `None` again once its pipe has ended.
+    /// For each node, when it was killed; `None` again once the pipe of the node has ended.
     killed: Vec<Option<u64>>,
-    /// The first instant after the run.
+    /// The end of the run: the first instant that is not judged.
     over: u64,
     settled: u64,
     /// For each node, why changes of its tasks are missing.
@@ -56,7 +55,7 @@ enum Event {
     Change(Change),
     /// The node has stopped reporting.
     Unknown(NodeId),
-    /// The node lives, but could not report all changes from now on.
+    /// The node runs, but could not report all changes since this event.
     Untold(NodeId),
     /// The node is dead.
     Dead(NodeId),
@@ -69,22 +68,22 @@ enum Event {
 /// The state of one check during the judgement.
 #[derive(Default)]
 struct CheckState {
-    /// The first task of the check whose node does not report here.
+    /// The first task of the check whose node does not report to this judge.
     elsewhere: Option<TaskId>,
     /// Whether the check could be evaluated at any time so far.
     judged: bool,
     /// For `leads`: how often the premise became true, and whether it is true now.
     mattered: u64,
     matters: bool,
-    /// Since when an `always` or `never` is broken, and the values then.
+    /// Since when an `always` or `never` is broken, and the values that it had then.
     since: Option<(u64, Vec<String>)>,
-    /// Why it is unknown whether the check holds now.
+    /// Why it is unknown whether the check holds now; `None` if it is known.
     doubt: Option<Doubt>,
     /// For how long it was unknown whether the check held, by reason.
     doubted: BTreeMap<Doubt, u64>,
-    /// Whether the current break has been reported.
+    /// Whether the present break of the check has been reported.
     is_told: bool,
-    /// For `leads`: since when the consequence is awaited, and when it is late.
+    /// For `leads`: since when the check waits for its consequence, and when the consequence is late.
     due: Option<(u64, u64)>,
     times: u64,
     broken: Vec<Broken>,
@@ -108,16 +107,16 @@ impl CheckState {
 pub struct Broken {
     /// The index of the check.
     pub check: usize,
-    /// When, in microseconds of the clock that all nodes share.
+    /// When the check was broken, in microseconds of the clock that all nodes share.
     pub at: u64,
-    /// For `leads`: since when the consequence was awaited.
+    /// For `leads`: since when the check waited for its consequence.
     pub since: Option<u64>,
     /// The values that the check reads: `armL.me.moving = true`.
     pub values: Vec<String>,
 }
 
 impl<'a> Judge<'a> {
-    /// Starts to judge a run in which these nodes report; there are no events yet.
+    /// Starts to judge a run. The nodes in `here` report to this judge, and have reported nothing yet.
     pub fn new(loaded: &'a Loaded, here: &[NodeId]) -> Self {
         let cell = loaded.table.cell();
         let asks = asks(loaded);
@@ -147,7 +146,7 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// Takes a change of a task's values.
+    /// Takes a change of a task's values, as its node reported it.
     pub fn change(&mut self, change: Change) {
         self.push(change.at, Event::Change(change));
     }
@@ -160,8 +159,8 @@ impl<'a> Judge<'a> {
         self.came += 1;
     }
 
-    /// Drops pending changes to make room. Events of nodes and commands stay, because they are not repeated. If a change of
-    /// a task is dropped, the task's values are unknown until its next change.
+    /// Drops pending changes to make room. Pending events of nodes and commands stay, because they are not repeated. If a change
+    /// of a task is dropped, the task's values are unknown until its next change.
     fn drop_changes(&mut self) {
         let mut tasks = BTreeSet::new();
         self.changes.retain(|_, event| match event {
@@ -186,15 +185,15 @@ impl<'a> Judge<'a> {
         self.unknown[task.index()] = Some(why);
     }
 
-    /// A node has reported everything before `until`.
+    /// Notes that a node has reported everything before `until`.
     pub fn told(&mut self, node: NodeId, until: u64) {
         if let Some(Some(told)) = self.told.get_mut(node.index()) {
             *told = until.max(*told);
         }
     }
 
-    /// A live node could not report some changes since this instant. The values of each of its tasks are known again at the
-    /// task's next change.
+    /// Notes that a running node could not report some changes since this instant. The values of each of its tasks are known
+    /// again at the task's next change.
     pub fn untold(&mut self, node: NodeId, since: u64) {
         if let Some(missing) = self.missing.get_mut(node.index()) {
             missing.get_or_insert(Doubt::Untold(node));
@@ -202,14 +201,14 @@ impl<'a> Judge<'a> {
         self.push(since, Event::Untold(node));
     }
 
-    /// A node was killed. Its last messages may still come.
+    /// Notes that a node was killed. The last messages of the node may still arrive.
     pub fn killed(&mut self, node: NodeId, at: u64) {
         if let Some(killed) = self.killed.get_mut(node.index()) {
             killed.get_or_insert(at);
         }
     }
 
-    /// The pipe of a node has ended. What the node did after its last report is unknown, unless it had reported everything.
+    /// Notes that the pipe of a node has ended. What the node did after its last report is unknown unless everything was reported.
     pub fn gone(&mut self, node: NodeId) {
         let until = self.told.get_mut(node.index()).and_then(|told| told.replace(u64::MAX));
         let Some(until) = until.filter(|until| *until < u64::MAX) else { return };
@@ -237,12 +236,12 @@ impl<'a> Judge<'a> {
         self.push(at, Event::Command(key, event));
     }
 
-    /// All nodes have reported everything.
+    /// Notes that all nodes have reported everything.
     pub fn all_told(&mut self) {
         self.told.iter_mut().flatten().for_each(|told| *told = u64::MAX);
     }
 
-    /// A killed node was restarted.
+    /// Notes that a killed node was restarted.
     pub fn revived(&mut self, node: NodeId, at: u64) {
         self.gone(node);
         self.push(at, Event::Back(node));
@@ -272,12 +271,12 @@ impl<'a> Judge<'a> {
         broken
     }
 
-    /// Whether changes that should have been judged are missing.
+    /// Whether changes are missing that should have been judged.
     pub fn is_missing(&self) -> bool {
         self.missing.iter().any(Option::is_some)
     }
 
-    /// For how long it is unknown whether a check held, and why. While changes are missing, it may have been broken.
+    /// For how long it is unknown whether a check held, and the main reason. While changes are missing, the check may be broken.
     fn unvouched(&self, check: usize) -> Option<(Doubt, u64)> {
         let state = &self.states[check];
         state.unvouched().or_else(|| {
@@ -288,7 +287,7 @@ impl<'a> Judge<'a> {
         })
     }
 
-    /// The verdicts on all checks.
+    /// Returns the verdicts on all checks.
     pub fn settlement(&self, began: u64) -> Settlement {
         let settled = |(at, state): (usize, &CheckState)| {
             let unvouched = self.unvouched(at);
@@ -321,8 +320,8 @@ impl<'a> Judge<'a> {
         matches!(self.loaded.checks[check].kind, CheckKind::Leads { .. })
     }
 
-    /// Lets time pass up to `until` without a change of values. Notes checks that are broken all this time, and `leads`
-    /// checks whose time is over before `until`.
+    /// Lets time pass up to `until` without a change of values. Notes the checks that are broken all this time, and the `leads`
+    /// checks whose time limit ends before `until`.
     fn pass(&mut self, until: u64, broken: &mut Vec<Broken>) {
         let length = until.saturating_sub(std::mem::replace(&mut self.settled, until));
         for check in 0..self.states.len() {
@@ -361,7 +360,7 @@ impl<'a> Judge<'a> {
                 table.tasks_on(node).for_each(|task| self.forget(task, Doubt::Silent(node)));
                 self.vouched.silent(node, table.tasks_on(node));
             }
-            // The node lives, and so still controls its commands.
+            // The node runs, so it still controls its commands.
             Event::Untold(node) => {
                 table.tasks_on(node).for_each(|task| self.forget(task, Doubt::Untold(node)));
             }
@@ -385,7 +384,7 @@ impl<'a> Judge<'a> {
         let Some((stand, asks)) = known else { return };
         *stand = (0..asks.len()).map(|at| values.get(at).copied()).collect();
         self.unknown[task.index()] = None;
-        // A task that may no longer act does not control a command that is still running.
+        // A task that is not active any more does not control its command that still runs.
         if asks.iter().zip(values).any(|(ask, value)| *ask == Ask::Active && *value == 0) {
             self.vouched.inactive(task);
         }

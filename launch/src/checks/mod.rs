@@ -1,4 +1,4 @@
-//! Judges the checks of a cell (`never`, `always`, `leads … within`) by the values that its tasks had in a run (D101).
+//! Judges the checks of a cell (`never`, `always`, `leads … within`) by the values that the cell's tasks had in a run (D101).
 
 mod judge;
 mod sampler;
@@ -19,18 +19,18 @@ use imrs_protocol::{CellTable, PortId, TaskId};
 pub enum Ask {
     /// The value of a variable, by its position.
     Variable(u16),
-    /// Whether the task is active: it may act.
+    /// Whether the task is active: whether it may act.
     Active,
     /// Whether the task has an outstanding request on this port.
     Asked(PortId),
     /// Whether the task's last request on this port was answered.
     Answered(PortId),
-    /// How far the task has come at the waitfor of this port. −1: it has not reached the waitfor in this incarnation. 0: it
-    /// has reached it, but no round yet. Otherwise the number of its last round plus 1.
+    /// How far the task has come at the waitfor of this port. −1: it has not reached the waitfor in this incarnation.
+    /// 0: it has reached the waitfor, but no round yet. Otherwise the number of its last round plus 1.
     Arrived(PortId),
 }
 
-/// For each task, its values that the checks of the cell read.
+/// For each task, which of its values the checks of the cell read.
 pub fn asks(loaded: &Loaded) -> Vec<Vec<Ask>> {
     let mut asks = vec![Vec::new(); loaded.table.cell().tasks.len()];
     for term in loaded.checks.iter().flat_map(terms) {
@@ -61,7 +61,7 @@ fn of(table: &CellTable, term: Term) -> Vec<(TaskId, Ask)> {
         Some(Reading::Predicate(Predicate::Active(task))) => vec![(task, Ask::Active)],
         Some(Reading::Predicate(Predicate::Asked { task, port })) => vec![(task, Ask::Asked(port))],
         Some(Reading::Predicate(Predicate::Answered { task, port })) => vec![(task, Ask::Answered(port))],
-        // All parties are read, because the rounds of all of them decide whether one has arrived (D85).
+        // The values of all parties are read, because their rounds decide together whether one party has arrived (D85).
         Some(Reading::Predicate(Predicate::Arrived { port, .. })) => {
             let parties = table.port(port).map_or(&[][..], |port| &port.parties);
             parties.iter().map(|party| (party.task, Ask::Arrived(port))).collect()

@@ -1,4 +1,4 @@
-//! Samples the values that checks read from the tasks of a node, after every step.
+//! Samples, after every step, the values of a node's tasks that checks read.
 
 use super::{Ask, asks};
 use crate::cells::Loaded;
@@ -9,28 +9,28 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
-/// Samples the values that checks read, and reports changes.
+/// Samples the values of tasks that checks read, and reports changes.
 pub struct ValueSampler {
-    /// For each task, the values that checks read.
+    /// For each task, which of its values the checks read.
     asks: Vec<Vec<Ask>>,
     known: Vec<Known>,
 }
 
-/// The last sample of a task, with the facts that are needed to take the next ones.
+/// The last sample of a task, with the facts that the next samples need.
 #[derive(Clone, Debug, Default)]
 struct Known {
     /// The values of the last sample.
     values: Vec<i64>,
     /// When the task's lease ends unless it is renewed, in microseconds of the node's clock.
     leased_until: Option<u64>,
-    /// The ports of the task's requests without an outcome yet, the newest last. There may be several, because a handler may
-    /// send while its task waits.
+    /// The ports of the task's outstanding requests, the newest last. There may be several, because a handler may send
+    /// while its task waits.
     open: Vec<PortId>,
-    /// Whether the task's last request was a send. If the communication task merely accepts a send, no outcome follows.
+    /// Whether the task's last request was a send. After a send of class 1 no outcome follows.
     sends: bool,
-    /// For each port, whether the task's last request there was answered.
+    /// For each port, whether the task's last request on that port was answered.
     answered: BTreeMap<PortId, bool>,
-    /// The waitfors that the task has reached.
+    /// The waitfors that the task has reached in this incarnation.
     reached: Vec<PortId>,
 }
 
@@ -61,10 +61,10 @@ impl ValueSampler {
         }
     }
 
-    /// Samples a task at `at`, and returns its values if any has changed.
+    /// Samples a task at `at`. Returns the task's values if any of them has changed.
     ///
-    /// A lease ends the activity of its task on time, even if a suspended node notices late. So a late end is a change of its
-    /// own, with the time at which the lease ended (D153).
+    /// A lease ends the activity of its task on time, even if the node was suspended and notices the end late. So an
+    /// end that is noticed late is a change of its own, with the time at which the lease ended (D153).
     pub fn look(&mut self, task: TaskId, at: u64, stands: &Stands<'_>) -> impl Iterator<Item = Change> {
         let seen = self.asks.get(task.index()).zip(self.known.get_mut(task.index()));
         let changes = seen.map(|(asks, known)| {
@@ -79,8 +79,8 @@ impl ValueSampler {
 }
 
 impl Known {
-    /// If the lease of an active task ended before `at`, the instant at which the node noticed: the time of that end, and
-    /// the values since then.
+    /// The node noticed at `at` that the lease of an active task has ended. Returns the time of that end, and the
+    /// values since then; `None` if there was no such end.
     fn lease_ends(&mut self, asks: &[Ask], at: u64, stands: &Stands<'_>) -> Option<(u64, Vec<i64>)> {
         let now = stands.machine.lease_left().map(|left| at.saturating_add(left.0));
         let before = std::mem::replace(&mut self.leased_until, now).filter(|&until| until < at);
@@ -123,7 +123,7 @@ impl Known {
         }
     }
 
-    /// The value that a check reads, by the definition that the checker uses.
+    /// The value of `ask` for a task, by the definition that the checker uses.
     fn value(&self, ask: Ask, stands: &Stands<'_>) -> i64 {
         let Stands { script, machine } = *stands;
         match ask {
@@ -153,11 +153,11 @@ pub struct Change {
     pub at: u64,
     /// The task whose values changed.
     pub task: TaskId,
-    /// All values of the task that checks read, in the order of [`asks`].
+    /// All values of the task that checks read, in the order in which [`asks`] lists them.
     pub values: Vec<i64>,
 }
 
-/// Samples a recording while it is replayed.
+/// Samples the tasks of a recording while it is replayed.
 pub struct ReplaySampler(Mutex<(ValueSampler, Vec<Change>)>);
 
 impl ReplaySampler {

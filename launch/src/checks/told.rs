@@ -1,4 +1,4 @@
-//! The verdicts on the checks after a run, with their words for people and their form for programs.
+//! The verdicts on the checks after a run, as words for people and as JSON for programs.
 
 use super::Broken;
 use super::vouch::Doubt;
@@ -16,9 +16,9 @@ pub enum Outcome {
     Broken,
     /// The premise of a `leads` never became true.
     Untested,
-    /// A task of the check is on a node that does not run here.
+    /// A task of the check runs on a node that this run does not observe.
     Elsewhere,
-    /// A task of the check reported nothing, or for some time its values were not known.
+    /// A task of the check reported nothing, or its values were unknown for some time.
     Unknown,
 }
 
@@ -54,14 +54,14 @@ pub struct Settled {
 /// For how long it is unknown whether a check held.
 #[derive(Clone, Debug, Serialize)]
 pub struct Unvouched {
-    /// The total of these times, in seconds.
+    /// For how long in all it is unknown, in seconds.
     seconds: f64,
-    /// The reason for the largest part.
+    /// The main reason: it explains the largest part of that time.
     why: String,
 }
 
 impl Unvouched {
-    /// Makes the value from a total of microseconds and the main reason.
+    /// Makes the value from a sum of microseconds and the main reason.
     pub(super) fn new(loaded: &Loaded, doubt: Doubt, length: u64) -> Self {
         let cell = loaded.table.cell();
         let why = match doubt {
@@ -80,7 +80,7 @@ impl Unvouched {
         Self { seconds: length as f64 / 1e6, why }
     }
 
-    /// The text for people: ``unknown for 0.250 s: node `m` told nothing``.
+    /// The words for people: ``unknown for 0.250 s: node `m` told nothing``.
     fn words(&self) -> String {
         let Self { seconds, why } = self;
         let length = if *seconds > 0.0 { format!(" for {seconds:.3} s") } else { String::new() };
@@ -91,7 +91,7 @@ impl Unvouched {
 /// The first time at which a check was broken.
 #[derive(Clone, Debug, Serialize)]
 pub struct First {
-    /// Seconds since the run began.
+    /// The time of the break, in seconds since the run began.
     pub seconds: f64,
     /// The values that the check reads: `armL.me.moving = true`.
     pub values: Vec<String>,
@@ -100,7 +100,7 @@ pub struct First {
 }
 
 impl Broken {
-    /// The text for people: `check no_early (line 71) does not hold: armL.me.moving = true, armR.gripping = true`.
+    /// The words for people: `check no_early (line 71) does not hold: armL.me.moving = true, armR.gripping = true`.
     pub fn words(&self, loaded: &Loaded) -> String {
         let check = &loaded.checks[self.check];
         let waited =
@@ -116,8 +116,8 @@ impl Broken {
 }
 
 impl Settled {
-    /// The verdict on the check at this position. `counts` says how often the check mattered, and how often it was broken.
-    /// `why` says why it was never judged, and why not all the time.
+    /// The verdict on the check at position `at`. `counts` says how often the check mattered, and how often it was
+    /// broken. `why` says why it was never judged, and why it was not judged all the time.
     pub(super) fn new(
         loaded: &Loaded,
         at: usize,
@@ -154,7 +154,7 @@ impl Settled {
         self.first.as_ref().map(|first| first.seconds)
     }
 
-    /// The verdict for people: `held`.
+    /// The verdict in words for people: `held`.
     #[must_use]
     pub fn words(&self) -> String {
         let came = self.mattered.map(|came| format!(" (its condition became true {})", count(came, "time")));

@@ -1,5 +1,5 @@
-//! Tracks which tasks may act while no node reports it. A node reports what its tasks do. Once the node is dead or silent,
-//! commands of its actions may go on until their guards confirm the end (D142).
+//! Tracks which tasks may act although no node reports it. A node reports what its tasks do. Once the node is dead or
+//! silent, the commands of its actions may go on until their guards confirm the end (D142).
 
 use imrs_protocol::{NodeId, TaskId};
 use std::collections::BTreeMap;
@@ -9,9 +9,9 @@ use std::collections::BTreeMap;
 pub struct Vouched {
     /// For each node, whether it is silent or dead.
     down: Vec<bool>,
-    /// Running commands under the control of their tasks, by key.
+    /// Running commands that their tasks still control: the task of each key.
     running: BTreeMap<String, TaskId>,
-    /// Running commands that no task controls any more, by key.
+    /// Running commands that no task controls any more: the task of each key.
     orphans: BTreeMap<String, TaskId>,
 }
 
@@ -20,24 +20,24 @@ pub struct Vouched {
 pub enum CommandEvent {
     /// A node starts the command for this task.
     Began(TaskId),
-    /// The command, and all that it started, has ended.
+    /// The command, and every process that it started, has ended.
     Ended,
-    /// The command's guard died, so that the command may go on.
+    /// The command's guard died, so the command may still run.
     Lost,
 }
 
 /// Why values of a task are not known. If several reasons apply, the first one is reported.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Doubt {
-    /// The end of one of the task's commands was not confirmed.
+    /// The end of a command of this task was not confirmed.
     Command(TaskId),
     /// The task's node reported nothing.
     Silent(NodeId),
-    /// The task's live node could not report some events.
+    /// The task's node runs, but could not report some events.
     Untold(NodeId),
-    /// Changes were dropped, because too many waited to be judged.
+    /// The judge dropped changes, because too many waited to be judged.
     Dropped,
-    /// The task's node is dead, and a value depends on what other tasks have done since.
+    /// The task's node is dead, and a value depends on what other tasks have done since its death.
     Dead(NodeId),
 }
 
@@ -49,12 +49,12 @@ impl Doubt {
 }
 
 impl Vouched {
-    /// The state for this many nodes, all of which report what their tasks do.
+    /// Makes the state for this many nodes, all of which report what their tasks do.
     pub fn new(nodes: usize) -> Self {
         Self { down: vec![false; nodes], running: BTreeMap::new(), orphans: BTreeMap::new() }
     }
 
-    /// Takes an event of a command; `node` gives the node of a task.
+    /// Takes an event of a command. `node` returns the node of a task.
     pub fn command(&mut self, key: String, event: &CommandEvent, node: impl Fn(TaskId) -> Option<NodeId>) {
         match *event {
             CommandEvent::Began(task) if node(task).is_some_and(|node| self.is_down(node)) => {
@@ -75,19 +75,19 @@ impl Vouched {
         }
     }
 
-    /// From now on this node, with these tasks, is silent or dead.
+    /// Notes that from now on this node, with these tasks, is silent or dead.
     pub fn silent(&mut self, node: NodeId, tasks: impl Iterator<Item = TaskId>) {
         self.set(node, true);
         tasks.for_each(|task| self.inactive(task));
     }
 
-    /// The task may no longer act, so it no longer controls its commands.
+    /// Notes that the task may not act any more, so that it does not control its commands any more.
     pub fn inactive(&mut self, task: TaskId) {
         let orphans = self.running.extract_if(.., |_, of| *of == task);
         self.orphans.extend(orphans);
     }
 
-    /// The node reports again. Commands of its earlier incarnation may still run.
+    /// Notes that the node reports again. Commands of its earlier incarnation may still run.
     pub fn back(&mut self, node: NodeId) {
         self.set(node, false);
     }

@@ -17,15 +17,15 @@ pub struct Gatherer {
     tallies: BTreeMap<PortId, Tally>,
     /// For each node, the counters of its incarnations.
     figures: Vec<Vec<Figures>>,
-    /// The nodes that report here: all, or the only one that runs here.
+    /// The nodes that report to this launcher: all nodes, or the only one that it runs.
     here: Vec<NodeId>,
     kills: Vec<(NodeId, u64)>,
     after_kill: Vec<AfterKill>,
     ended: Vec<TaskSummary>,
-    /// The nodes whose last reports are missing.
+    /// The nodes whose last reports did not reach the launcher.
     unheard: Vec<NodeId>,
-    /// When the run was over. Events after that, while the nodes stop, do not count: a stopped task leaves its waitfor, and
-    /// the others move on to another round, which is not a fault.
+    /// The end of the run. Later events, while the nodes stop, do not count: a stopped task leaves its waitfor, and the
+    /// other members move on to another round, which is not a fault.
     end: u64,
 }
 
@@ -48,7 +48,7 @@ impl Fold for Gatherer {
 }
 
 impl Gatherer {
-    /// The summary of a run of these nodes, before any report.
+    /// Makes the summary of a run of these nodes, before any report.
     pub fn new(table: Arc<CellTable>, here: Vec<NodeId>) -> Self {
         let waitfors = table.ports().iter().filter(|port| port.decl.usage == Usage::Waitfor);
         let heard = |task: &TaskId| table.location(*task).is_some_and(|node| here.contains(&node));
@@ -69,7 +69,7 @@ impl Gatherer {
         }
     }
 
-    /// Takes an event of a waitfor.
+    /// Takes a node's report of an event at a waitfor.
     fn event(&mut self, event: &Event) {
         if event.at > self.end {
             return;
@@ -82,7 +82,7 @@ impl Gatherer {
         }
     }
 
-    /// Takes a node's counters since its start. They replace its earlier ones.
+    /// Takes a node's counters since its start. They replace the node's earlier counters.
     fn figures(&mut self, node: NodeId, figures: &Figures) {
         if figures.untold > 0 {
             self.for_tasks_on(node, Tally::untold);
@@ -94,7 +94,7 @@ impl Gatherer {
         }
     }
 
-    /// Notes that the last reports of a node are missing.
+    /// Notes that the last reports of a node did not reach the launcher.
     fn unheard(&mut self, node: NodeId) {
         self.for_tasks_on(node, Tally::untold);
         self.unheard.push(node);
@@ -117,7 +117,7 @@ impl Gatherer {
         (!self.tallies.is_empty()).then(|| self.tallies.values().map(Tally::released).sum())
     }
 
-    /// The summary. `exits` says how the process of each node that ran here ended.
+    /// Returns the summary. `exits` says how each node ended that this launcher ran.
     pub fn summary(&self, seconds: f64, seed: u64, loss: f64, exits: &[(NodeId, String)]) -> Summary {
         let all = self.here.len() == self.table.cell().nodes.len();
         let rendezvous = self.tallies.iter().map(|(&port, tally)| {
@@ -164,7 +164,7 @@ impl Gatherer {
         }
     }
 
-    /// The nodes that did not report all events, one line each.
+    /// The nodes that could not report all events, one line each.
     fn untold(&self) -> impl Iterator<Item = String> {
         self.figures.iter().zip(&self.table.cell().nodes).filter_map(|(incarnations, node)| {
             let untold: u64 = incarnations.iter().map(|figures| figures.untold).sum();
@@ -173,13 +173,13 @@ impl Gatherer {
         })
     }
 
-    /// The nodes that were not heard to their end, one line each.
+    /// The nodes whose last reports did not reach the launcher, one line each.
     fn cut_short(&self) -> impl Iterator<Item = String> {
         let name = |node: &NodeId| &self.table.cell().nodes[node.index()].name;
         self.unheard.iter().map(move |node| format!("node {} was not heard to its end", name(node)))
     }
 
-    /// What recordings lack, one line each.
+    /// The losses of recordings, one line each.
     fn unrecorded(&self) -> impl Iterator<Item = String> {
         self.figures.iter().flatten().flat_map(|figures| figures.unrecorded.iter().cloned())
     }
@@ -190,7 +190,8 @@ impl Gatherer {
         }
     }
 
-    /// Keeps a give-up if it is the task's first since a kill, and a task on the killed node had not arrived.
+    /// Keeps the event that a task gave up a waitfor, if it is the task's first since a kill, and a task on the killed
+    /// node had not arrived.
     fn note_give_up(&mut self, event: &Event, waited: u64, missing: u64) {
         let Some(port) = self.table.port(event.port) else { return };
         let task = self.table.cell().tasks[event.task.index()].name.clone();
@@ -218,7 +219,7 @@ impl Gatherer {
         for &(task, port, mut counters) in figures.iter().flat_map(|f| &f.ports) {
             let usage = self.table.port(port).and_then(|p| p.party(task)).map(|p| p.usage);
             if matches!(usage, Some(Usage::Send | Usage::Query)) {
-                // At the end that sends, the counter of deliveries counts answers.
+                // At the sending end of a port, the counter of deliveries counts answers, so it is not added.
                 counters.delivered = 0;
             }
             if let Some(sum) = sums.get_mut(port.index()) {

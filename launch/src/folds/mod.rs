@@ -1,4 +1,5 @@
-//! The folds over the facts of a run. Each takes the facts one by one, and keeps no more than its result needs.
+//! The folds: each computes one result from the facts of a run. A fold takes the facts one by one, and keeps no more
+//! than its result needs.
 
 pub mod gatherer;
 pub mod rounds;

@@ -1,31 +1,31 @@
-//! The summed outcomes of old rounds of a waitfor, which are no longer kept one by one.
+//! The sums over old rounds of a waitfor, which are no longer kept one by one. Such rounds are called settled.
 
 use super::rounds::Rounds;
 use super::spread::Spreading;
 use std::collections::BTreeMap;
 
-/// Most gaps between settled rounds that are remembered.
+/// The greatest number of gaps between settled rounds that are kept.
 const GAPS: usize = 1_024;
-/// Most rounds with false releases that are kept one by one.
+/// The greatest number of rounds with false releases that are kept one by one.
 const DOUBTFUL: usize = 4_096;
 
 /// The outcomes of old rounds. Sets of members are bit masks by position.
 #[derive(Clone, Debug, Default)]
 pub struct Settled {
-    /// The sums over the settled rounds, without the start skew, and without the false releases of the `doubtful` rounds.
+    /// The sums over the settled rounds, without the start skew, and without the false releases of the rounds in `doubtful`.
     pub sum: Rounds,
     pub skews: Spreading,
     /// The settled rounds, as ranges without gaps: first round to last round.
     pub spans: BTreeMap<i64, i64>,
-    /// The last settled round that released a member.
+    /// The newest settled round that released a member.
     pub released: Option<i64>,
-    /// Rounds that look like false releases, with the members that had not announced the round and the members that
-    /// were released. Later reports may show that an announcement of an absent member did not reach the launcher.
+    /// Settled rounds that look like false releases. For each of them: the members that had not announced the round, and the
+    /// members that were released. A later report may show that a member's announcement did not reach the launcher.
     doubtful: BTreeMap<i64, (u64, u64)>,
 }
 
 impl Settled {
-    /// Whether this round is settled.
+    /// Whether this round was settled.
     pub fn has(&self, round: i64) -> bool {
         self.spans.range(..=round).next_back().is_some_and(|(_, &last)| round <= last)
     }
@@ -52,7 +52,7 @@ impl Settled {
         }
     }
 
-    /// Notes that this settled round released members although the `absent` members had not announced it.
+    /// Notes that this settled round released members although the members in `absent` had not announced it.
     pub fn doubt(&mut self, round: i64, absent: u64, released: u64) {
         if falsely(absent, released) == 0 {
             return;
@@ -72,14 +72,15 @@ impl Settled {
         }
     }
 
-    /// The number of false releases, if some announcements of the `untold` members may exist unreported.
+    /// The number of false releases, if the members in `untold` may have made announcements that they could not report.
     pub fn false_releases(&self, untold: u64) -> u64 {
         let kept = self.doubtful.values().map(|(absent, released)| falsely(absent & !untold, *released));
         self.sum.false_releases + kept.sum::<u64>()
     }
 }
 
-/// How many of the released members were released before another member had arrived.
+/// How many of the released members were released while another member was absent. If only one member is absent, its
+/// own release does not count.
 pub fn falsely(absent: u64, released: u64) -> u64 {
     match absent.count_ones() {
         0 => 0,

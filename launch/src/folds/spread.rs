@@ -4,7 +4,8 @@ use serde::Serialize;
 
 /// How many values are kept exactly at most.
 const KEPT: usize = 4_096;
-/// More values than that are counted in buckets with a relative width of at most 1 / `PARTS`. A power of two.
+/// If there are more values, they are counted in buckets with a relative width of at most 1 / `PARTS`. `PARTS` is a
+/// power of two.
 const PARTS: u64 = 128;
 
 /// The median, the 99th percentile and the maximum of some values.
@@ -18,8 +19,8 @@ pub struct Spread {
     pub max: u64,
 }
 
-/// Collects values. Up to 4,096 values the result is exact. Beyond, `p50` and `p99` are at most one part in 128 too large, and
-/// `max` is exact.
+/// Collects values. Up to 4,096 values the result is exact. With more values, `p50` and `p99` are at most one part in
+/// 128 too large, and `max` is exact.
 #[derive(Clone, Debug, Default)]
 pub struct Spreading {
     /// The values, as long as there are at most `KEPT`.
@@ -56,7 +57,7 @@ impl Spreading {
         let mut kept = self.kept.clone();
         kept.sort_unstable();
         let all = kept.len() as u64 + self.counts.iter().sum::<u64>();
-        // Nearest rank: the least value that at least `percent` of all values do not exceed.
+        // The nearest rank: the least value such that at least `percent` of all values are not greater.
         let rank = |percent: u64| {
             let rank = (all * percent).div_ceil(100).max(1);
             let mut below = 0;
@@ -127,7 +128,7 @@ mod tests {
         let mut value = 1_u64;
         for _ in 0..1_000_000 {
             value = value.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            // Most of these values are short, a few are long.
+            // Most of these values are small, and a few are large.
             let us = (value >> 44) >> (value >> 20 & 15);
             all.add(us);
             plain.push(us);

@@ -9,7 +9,7 @@ use imrs_protocol::{NodeId, TaskId};
 /// The tasks and nodes that have ended so far.
 pub struct Standing<'a> {
     loaded: &'a Loaded,
-    /// The nodes that run here.
+    /// The nodes that this launcher runs.
     here: Vec<NodeId>,
     /// Tasks whose scripts have ended by themselves.
     ended: Vec<TaskId>,
@@ -33,22 +33,22 @@ impl Fold for Standing<'_> {
 }
 
 impl<'a> Standing<'a> {
-    /// The state of a run of these nodes, before anything has ended.
+    /// Makes the state of a run of these nodes, before any task or node has ended.
     pub const fn new(loaded: &'a Loaded, here: Vec<NodeId>) -> Self {
         Self { loaded, here, ended: Vec::new(), gone: Vec::new() }
     }
 
-    /// Whether every node is gone.
+    /// Whether all nodes are gone.
     pub fn is_gone(&self) -> bool {
         self.gone.len() == self.here.len()
     }
 
-    /// The nodes that may still have something to report.
+    /// The nodes that are not gone, so that they may still report something.
     pub fn unheard(&self) -> Vec<NodeId> {
         self.here.iter().copied().filter(|node| !self.gone.contains(node)).collect()
     }
 
-    /// Whether tasks ran here, and none is left.
+    /// Whether the run had tasks, and none of them still runs.
     pub fn has_ended(&self) -> bool {
         self.tasks().next().is_some() && self.left().next().is_none()
     }
@@ -64,7 +64,7 @@ impl<'a> Standing<'a> {
         self.tasks().filter(move |task| !self.ended.contains(task) && !is_gone(*task))
     }
 
-    /// The tasks that still run, if all of them serve for ever and some other task has ended.
+    /// The tasks that still run, if all of them serve for ever and another task has ended; otherwise `None`.
     pub fn servers_left(&self) -> Option<Vec<TaskId>> {
         let finishes = |task: TaskId| self.loaded.can_finish(task);
         let is_idle = self.tasks().any(finishes) && !self.left().any(finishes);

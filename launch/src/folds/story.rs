@@ -1,4 +1,4 @@
-//! The story of a run: what the scripts did and which faults came, for an explanation of the outcome.
+//! The story of a run, for an explanation of its outcome: what the scripts did, and which faults were injected.
 
 use super::summary::Summary;
 use crate::cells::Loaded;
@@ -8,7 +8,7 @@ use crate::pipe::Word;
 use crate::script_event::{Did, ScriptEvent};
 use imrs_protocol::{NodeId, TaskId};
 
-/// Most events that are kept for the story; later ones are left out.
+/// The greatest number of events that are kept for the story; later events are left out.
 const LONGEST: usize = 100_000;
 
 /// The events that are kept of a run for its story.
@@ -43,7 +43,7 @@ impl Events {
     }
 }
 
-/// A finished run, for its explanation.
+/// A finished run, with the data for its explanation.
 pub struct Story<'a> {
     /// The cell that ran.
     pub loaded: &'a Loaded,
@@ -87,7 +87,7 @@ impl Story<'_> {
         format!("{}.{:03} s", ms / 1_000, ms % 1_000)
     }
 
-    /// When the node of a task was last killed; none if it was never killed, or has been restarted since.
+    /// When the node of a task was last killed; `None` if it was never killed, or has been restarted since.
     pub fn died(&self, task: TaskId) -> Option<u64> {
         let node = self.loaded.table.location(task)?;
         let of_it = self
@@ -113,7 +113,7 @@ impl Story<'_> {
         self.faults.iter().filter_map(kill).collect()
     }
 
-    /// The first suspended node, from when, and until when.
+    /// The first node that was suspended, and when the suspension began and ended.
     pub fn pause(&self) -> Option<(NodeId, u64, u64)> {
         let (at, node) = self.faults.iter().find_map(|(at, fault)| match fault {
             Fault::Pause(node) => Some((*at, *node)),
@@ -123,13 +123,13 @@ impl Story<'_> {
         Some((node, at, on.map_or(self.ended, |(on, _)| *on)))
     }
 
-    /// The first line of the handler in which an event happened; empty if it happened in the body of its task.
+    /// The first line of the handler in which an event happened; empty if the event happened in the body of its task.
     pub fn handler(&self, did: &Did) -> &str {
         let head = did.line.and_then(|line| self.loaded.handler(did.task, line));
         head.map_or("", |head| self.loaded.text_of(head))
     }
 
-    /// The times of a task's events for which `is` is true.
+    /// The times of those events of a task for which `is` returns true.
     pub fn when(&self, task: TaskId, is: impl Fn(&ScriptEvent) -> bool) -> Vec<u64> {
         self.of(task).filter(|did| is(&did.what)).map(|did| did.at).collect()
     }

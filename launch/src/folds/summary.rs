@@ -1,4 +1,4 @@
-//! The summary of a run: the contract of `--format json`.
+//! The summary of a run, in the form that `--format json` prints and keeps stable.
 
 use super::rounds::Rounds;
 use crate::checks::Settlement;
@@ -6,14 +6,14 @@ use crate::pipe::{Outcomes, RefusalFigures};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// The summary of a run: the contract of `--format json`.
+/// The summary of a run, in the form that `--format json` prints and keeps stable.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
     /// The version of this JSON format.
     pub version: u32,
     /// The name of the cell that ran.
     pub cell: String,
-    /// How long the tasks ran.
+    /// How long the tasks ran, in seconds.
     pub seconds: f64,
     /// The seed of the injected losses and of the durations of simulated actions.
     pub seed: u64,
@@ -21,24 +21,25 @@ pub struct Summary {
     pub loss: f64,
     /// The ports, each summed over all its ends.
     pub ports: Vec<PortSummary>,
-    /// The figures of each `waitfor`.
+    /// The results of each `waitfor`.
     pub rendezvous: Vec<RendezvousSummary>,
     /// How the class-2 messages of the tasks ended.
     pub commands: Outcomes,
-    /// The tasks that gave up because a node was killed: for each kill, the first time_out of each task that waited for a
-    /// task there.
+    /// The tasks that gave up because a node was killed: for each kill, the first time_out of each task that waited for
+    /// a task on the killed node.
     pub after_kill: Vec<AfterKill>,
     /// The scripts that ended by themselves.
     pub tasks: Vec<TaskSummary>,
-    /// The nodes that ran here.
+    /// The nodes that this launcher ran.
     pub nodes: Vec<NodeSummary>,
     /// The verdicts on the checks of the cell.
     pub checks: Settlement,
-    /// Missing evidence, one line each. Without findings, such a run proves nothing about what is missing.
+    /// What the run could not observe, one line each. If there are such lines, a run without findings proves nothing
+    /// about these parts.
     pub incomplete: Vec<String>,
-    /// Whether the nodes ran under the real-time scheduler: asked for with `--rt`, and not refused.
+    /// Whether the nodes ran under the real-time scheduler: `--rt` asked for it, and the kernel did not refuse.
     pub rt: bool,
-    /// The outcome of a demo.
+    /// The outcome of a demo; `None` for any other run.
     pub outcome: Option<Outcome>,
 }
 
@@ -58,23 +59,23 @@ pub struct PortSummary {
     pub name: String,
     /// What the owner does with the port.
     pub usage: &'static str,
-    /// Messages sent; of a waitfor, arrivals.
+    /// How many messages were sent; of a waitfor, how many arrivals.
     pub sent: u64,
-    /// Copies sent again.
+    /// How many copies were sent again.
     pub resent: u64,
-    /// Messages delivered at the receiving ends; of a waitfor, releases.
+    /// How many messages were delivered at the receiving ends; of a waitfor, how many releases.
     pub delivered: u64,
-    /// Messages whose TTL ended in a buffer or on a link.
+    /// How many messages expired in a buffer or on a link.
     pub expired: u64,
-    /// Messages refused, because there was no space.
+    /// How many messages were refused, because there was no room.
     pub refused: u64,
-    /// Requests that ended by time_out.
+    /// How many requests ended by time_out.
     pub timed_out: u64,
-    /// Received copies of messages that had come before.
+    /// How many received messages were copies of messages that had arrived before.
     pub duplicates: u64,
 }
 
-/// One waitfor.
+/// The results of one waitfor.
 #[derive(Clone, Debug, Serialize)]
 pub struct RendezvousSummary {
     /// The name of the waitfor's port.
@@ -82,8 +83,8 @@ pub struct RendezvousSummary {
     /// The outcomes of the waitfor's rounds.
     #[serde(flatten)]
     pub rounds: Rounds,
-    /// Releases before all members had arrived. `None` if only some nodes ran here, because arrivals elsewhere are not
-    /// known.
+    /// How many releases came before all members had arrived. `None` if only some nodes ran here, because arrivals on
+    /// other nodes are not known.
     pub false_releases: Option<u64>,
 }
 
@@ -96,13 +97,13 @@ pub struct AfterKill {
     pub task: String,
     /// How long the task had waited, in microseconds: its time_out plus the lateness of this machine.
     pub waited_us: u64,
-    /// The time_out, in microseconds.
+    /// The time_out of the waitfor, in microseconds.
     pub time_out_us: u64,
     /// The time from the kill to the instant at which the task gave up, in microseconds.
     pub after_kill_us: u64,
 }
 
-/// One node.
+/// The results of one node.
 #[derive(Clone, Debug, Serialize)]
 pub struct NodeSummary {
     /// The node's name.
@@ -112,26 +113,26 @@ pub struct NodeSummary {
     /// The number of the node's incarnations in this run: 1 plus one per restart.
     #[serde(rename = "lives")]
     pub incarnations: usize,
-    /// Packets that the node sent over links: its own, and those that it relayed.
+    /// How many packets the node sent over links: its own, and those that it relayed.
     pub forwarded: u64,
-    /// Packets and messages that the node's state machines dropped, by reason.
+    /// How many packets and messages the node's state machines dropped, by reason.
     pub discards: BTreeMap<String, u64>,
-    /// Packets that the node's link dropped, by reason.
+    /// How many packets the node's link dropped, by reason.
     pub link_discards: BTreeMap<String, u64>,
     /// Other counters of the node's link.
     pub link: BTreeMap<String, u64>,
-    /// The neighbours that the node refused at the end, because their cells differ.
+    /// The neighbours that the node refused at the end of the run, because their cells differ.
     pub refusals: Vec<RefusalFigures>,
-    /// Packets that the node's link dropped on purpose.
+    /// How many packets the node's link dropped on purpose, as a random loss.
     pub lost_on_purpose: u64,
-    /// Packets that the node's link dropped because of a cut.
+    /// How many packets the node's link dropped because of a cut.
     pub cut_off: u64,
 }
 
 /// The outcome of a demo.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Outcome {
-    /// Whether the demo's promise was kept; `None` if it was not put to the test.
+    /// Whether the demo's promise was kept; `None` if the run did not test it.
     pub held: Option<bool>,
     /// What happened in the demo, in sentences.
     pub words: Vec<String>,

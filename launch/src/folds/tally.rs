@@ -7,15 +7,16 @@ use crate::pipe::{Event, What};
 use imrs_protocol::{Round, TaskId};
 use std::collections::BTreeMap;
 
-/// Most rounds that are kept one by one. Older rounds are settled without waiting for further events.
+/// The greatest number of rounds that are kept one by one. Older rounds are settled without waiting for further events.
 const OPEN: usize = 4_096;
-/// The rounds of one waitfor. The newest are kept one by one; older ones are settled: added to the sums and dropped.
+/// The rounds of one waitfor. The newest rounds are kept one by one. Older rounds are settled: they are added to the
+/// sums and dropped.
 #[derive(Clone, Debug)]
 pub struct Tally {
     members: Vec<Member>,
     /// The rounds that are not settled yet, by number.
     rounds: BTreeMap<i64, Meeting>,
-    /// Most rounds that are kept unsettled.
+    /// The greatest number of rounds that are kept unsettled.
     open: usize,
     /// The lowest round that any event named.
     first: Option<i64>,
@@ -27,11 +28,11 @@ struct Member {
     task: TaskId,
     /// The round of the member's last event, extended across the wrap of [`Round`].
     last: i64,
-    /// The last round that the member announced.
+    /// The last round that the member announced: the member said there that it had arrived.
     announced: i64,
-    /// The last kill of the member's node. Events from just before the kill were not reported.
+    /// The last kill of the member's node. Events from just before the kill did not reach the launcher.
     died: Option<Death>,
-    /// Whether some of the member's announcements were not reported.
+    /// Whether some of the member's announcements did not reach the launcher.
     untold: bool,
 }
 
@@ -40,13 +41,13 @@ struct Death {
     at: u64,
     /// The last round that the member had announced before the kill.
     announced: i64,
-    /// The last settled round that began before the kill and released a member.
+    /// The newest settled round that began before the kill and released a member.
     released: Option<i64>,
-    /// When the member's node was restarted.
+    /// When the member's node was restarted; `None` if it was not.
     revived: Option<u64>,
 }
 
-/// What is known of one round. Sets of members are bit masks by position.
+/// The known events of one round. Sets of members are bit masks by position.
 #[derive(Clone, Copy, Debug)]
 struct Meeting {
     announced: u64,
@@ -59,7 +60,7 @@ struct Meeting {
 }
 
 impl Tally {
-    /// The tally of a waitfor of these tasks (at most 64), before any events.
+    /// Makes the tally of a waitfor of these tasks (at most 64), before any event.
     pub fn new(members: impl IntoIterator<Item = TaskId>) -> Self {
         let member = |task| Member { task, last: 0, announced: i64::MIN, died: None, untold: false };
         let members = members.into_iter().map(member).collect();
@@ -135,7 +136,7 @@ impl Tally {
         })
     }
 
-    /// The member's node was killed.
+    /// Notes that the member's node was killed.
     pub fn died(&mut self, task: TaskId, at: u64) {
         if let Some(place) = self.place(task) {
             let member = &mut self.members[place];
@@ -147,7 +148,8 @@ impl Tally {
         }
     }
 
-    /// The member's node was restarted. The member counts its rounds from the beginning, then joins those of the others.
+    /// Notes that the member's node was restarted. The member counts its rounds from the beginning, then joins the
+    /// round of the other members.
     pub fn revived(&mut self, task: TaskId, at: u64) {
         if let Some(place) = self.place(task)
             && let Some(death) = &mut self.members[place].died
@@ -156,7 +158,7 @@ impl Tally {
         }
     }
 
-    /// Notes that some of the member's announcements were not reported.
+    /// Notes that some of the member's announcements did not reach the launcher.
     pub fn untold(&mut self, task: TaskId) {
         if let Some(place) = self.place(task) {
             self.members[place].untold = true;
@@ -211,9 +213,9 @@ impl Tally {
         self.members.iter().enumerate().map(bit).fold(0, |set, bit| set | bit)
     }
 
-    /// The members whose announcement of this round may be unreported, because their nodes were killed after it began.
-    /// A node that was killed before the round began counts, too: its last message may have been the announcement, and
-    /// the other members keep that for the rest of its TTL.
+    /// The members that may have announced this round without a report, because their nodes were killed after the round
+    /// began. A node that was killed before the round began counts, too: its last message may have been the
+    /// announcement, and the other members keep an announcement until its TTL ends.
     fn killed(&self, round: i64, meeting: &Meeting) -> u64 {
         self.members(|member| {
             let Some(death) = member.died else { return false };
@@ -222,32 +224,32 @@ impl Tally {
     }
 
     /// The last round that a member can have announced before it was killed. That round follows the last round that the
-    /// member announced, or the last one that began before the kill and released a member.
+    /// member announced, or the last round that began before the kill and released a member.
     fn last_words(&self, death: &Death) -> i64 {
         let spoken = |(round, meeting): (&i64, &Meeting)| {
             (meeting.begun <= death.at && meeting.released != 0).then_some(*round)
         };
         let heard = self.rounds.iter().filter_map(spoken).max().max(death.released);
         let said = Some(death.announced).filter(|&round| round != i64::MIN);
-        // The member reported nothing before the kill, so the first round of all is the last that it can have announced.
+        // The member reported nothing before the kill, so it can have announced no round after the first round of all.
         let before = self.first.map_or(0, |first| first - 1);
         heard.max(said).unwrap_or(before) + 1
     }
 
-    /// The members for which the end of this round is unknown: they were killed before they reported it, or some of their
-    /// events are missing.
+    /// The members for which the outcome of this round is unknown: they were killed before they reported it, or some of
+    /// their events are missing.
     fn silenced(&self, round: i64, meeting: &Meeting) -> u64 {
         let missing = self.members(|member| member.untold);
         (missing | self.killed(round, meeting)) & !(meeting.released | meeting.gave_up)
     }
 
-    /// The members that are known not to have arrived.
+    /// The members that certainly had not arrived in this round.
     fn absent(&self, round: i64, meeting: &Meeting) -> u64 {
         let unheard = self.members(|member| member.untold) | self.killed(round, meeting);
         self.all() & !meeting.announced & !unheard
     }
 
-    /// The outcome of a round. `None` if the members that announced it moved on to another round together.
+    /// The outcome of a round. `None` if all members that announced it moved on to another round together.
     fn end(&self, round: i64, meeting: &Meeting) -> Option<End> {
         let (all, silenced) = (self.all(), self.silenced(round, meeting));
         let missing = all & !meeting.released;
@@ -277,7 +279,7 @@ impl Tally {
         self.members.iter().enumerate().any(|(place, m)| of & 1 << place != 0 && m.announced > round)
     }
 
-    /// Whether the node of one of the members in `of` was down when the round began.
+    /// Whether the node of one of the members in `of` was dead when the round began.
     fn buried(&self, meeting: &Meeting, of: u64) -> bool {
         let dead = |m: &Member| {
             m.died.is_some_and(|death| {
@@ -298,7 +300,7 @@ enum End {
 }
 
 impl Member {
-    /// Extends a round number across the wrap: the result is the value nearest to the last one.
+    /// Extends a round number across the wrap: the result is the possible value that is nearest to the member's last round.
     fn count_on(&mut self, round: Round) -> i64 {
         let last = Round(self.last.rem_euclid(1 << 16) as u16);
         let (ahead, behind) = (round.steps_from(last), last.steps_from(round));

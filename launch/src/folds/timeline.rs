@@ -10,21 +10,21 @@ use imrs_protocol::{NodeId, TaskId};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// An event is shown when it is this old, in microseconds. Nodes report events every few milliseconds, so by then no
-/// earlier event can still come.
+/// node can still report an earlier event.
 const SETTLED: u64 = 100_000;
-/// Most lines of one task that are shown within one interval of `SPAN`.
+/// How many lines of one task are shown within one interval of `SPAN`, at most.
 const PER_SPAN: u32 = 20;
-/// The interval for [`PER_SPAN`], in microseconds.
+/// The length of the interval for [`PER_SPAN`], in microseconds.
 const SPAN: u64 = 1_000_000;
 
-/// Collects lines until they can be shown.
+/// Collects the lines of a run until they can be shown.
 pub struct Timeline<'a> {
     loaded: &'a Loaded,
     /// Whether the nodes share this process.
     in_process: bool,
     /// When the run began, in microseconds of the clock that all processes of one machine share.
     began: u64,
-    /// Lines by time, then by the order in which they were reported.
+    /// Lines by time; lines of the same time in the order in which they were reported.
     waiting: BTreeMap<(u64, u64), Entry>,
     told: u64,
     /// For each task, the span of time in which its last line was shown, and how many of its lines were shown
@@ -45,7 +45,7 @@ enum Entry {
 /// A line of a run, for people.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Line {
-    /// When it happened, in microseconds since the run began.
+    /// The time of the line, in microseconds since the run began.
     pub at: u64,
     /// The content of the line.
     pub what: Telling,
@@ -54,22 +54,22 @@ pub struct Line {
 /// The content of a line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Telling {
-    /// A script did something.
+    /// An act of a script.
     Did {
         /// The script's task.
         task: TaskId,
-        /// The line in the cell file.
+        /// The line of the statement in the cell file.
         line: Option<usize>,
         /// How many lines of the task were left out before this one.
         left_out: u32,
-        /// What the script did, in words.
+        /// The act of the script, in words.
         words: String,
     },
-    /// Something about a fault or the nodes. There are few of these.
+    /// A text about a fault or the nodes. There are few of these.
     Fault(String),
-    /// Something does not hold, or nodes refuse each other. There are few of these.
+    /// A text that says that a check does not hold, or that nodes refuse each other. There are few of these.
     Broken(String),
-    /// Only tasks are left that serve for ever. The run tells this once.
+    /// A text that says that the only tasks that still run serve for ever. A run shows it once.
     Idle(String),
 }
 
@@ -92,7 +92,7 @@ impl Fold for Timeline<'_> {
 }
 
 impl<'a> Timeline<'a> {
-    /// The lines of a run, before any event.
+    /// Makes the timeline of a run, before any event.
     pub fn new(loaded: &'a Loaded, in_process: bool) -> Self {
         Self {
             loaded,
@@ -139,7 +139,8 @@ impl<'a> Timeline<'a> {
         lines
     }
 
-    /// If the line of this event is shown, how many lines were left out before it; `None` if it is left out itself.
+    /// Decides whether the line of this event is shown. Returns how many lines were left out before it; `None` if this
+    /// line is left out itself.
     fn pace(&mut self, did: &Did) -> Option<u32> {
         let span = did.at.saturating_sub(self.began) / SPAN;
         let pace = self.paces.get_mut(did.task.index())?;
@@ -184,7 +185,7 @@ impl<'a> Timeline<'a> {
         }
     }
 
-    /// Adds a line for each script of a restarted node that is held back, with the time for which it is.
+    /// Adds a line for each script of a restarted node that is held back. The line says for how long.
     fn held_back(&mut self, at: u64, node: NodeId, held: &[(TaskId, u64)]) {
         let all = self.loaded.table.tasks_on(node).count() == held.len();
         let mut by_time: BTreeMap<u64, Vec<&str>> = BTreeMap::new();

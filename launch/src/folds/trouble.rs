@@ -1,4 +1,4 @@
-//! The trouble of a run: problems that make the run a finding, beyond those in its summary.
+//! The problems of a run that make it a finding, beyond those in its summary.
 
 use crate::fact::{Fact, Fold};
 use crate::pipe::{EndSort, Word};
@@ -8,16 +8,16 @@ use std::sync::Arc;
 /// A problem that makes the run a finding, beyond those in its summary.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Trouble {
-    /// Whether this program is at fault; if not, the cause lies outside.
+    /// Whether this program is at fault; if not, the cause lies outside of it.
     pub at_fault: bool,
     /// The problem, in words.
     pub what: String,
 }
 
-/// The trouble with tasks so far.
+/// The problems of tasks so far.
 pub struct TaskTrouble {
     table: Arc<CellTable>,
-    /// Whether an explanation judges the tasks that abort after a fault.
+    /// Whether the run gets an explanation, which judges the tasks that abort after a fault.
     is_explained: bool,
     /// Whether a fault was injected, or packets are lost on purpose.
     is_disturbed: bool,
@@ -41,12 +41,12 @@ impl Fold for TaskTrouble {
 }
 
 impl TaskTrouble {
-    /// The trouble of a run, before any fact.
+    /// Makes the empty list of a run's problems, before any fact.
     pub const fn new(table: Arc<CellTable>, is_explained: bool, loses: bool) -> Self {
         Self { table, is_explained, is_disturbed: loses, found: Vec::new() }
     }
 
-    /// All trouble of the run.
+    /// All problems of the run.
     pub fn found(self) -> Vec<Trouble> {
         self.found
     }

@@ -14,7 +14,7 @@ use imrs_protocol::NodeId;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 
-/// Time limit for the nodes to stop.
+/// How long the nodes may take to stop.
 const STOP_WITHIN: Duration = Duration::from_secs(5);
 
 /// A run that has ended.
@@ -22,7 +22,7 @@ pub struct Ended<'a> {
     loaded: &'a Loaded,
     /// The run's summary.
     pub summary: Summary,
-    /// The run's trouble, beyond the summary.
+    /// The problems of the run that are not in its summary.
     pub trouble: Vec<Trouble>,
     events: Option<Events>,
 }
@@ -34,7 +34,7 @@ pub enum Verdict {
     Well,
     /// A promise was broken, or something other than the launcher killed a node.
     Finding,
-    /// Without a finding, some evidence is missing.
+    /// There was no finding, but some evidence is missing.
     Incomplete,
     /// This program is at fault.
     Fault,
@@ -104,7 +104,7 @@ impl<'a> Launcher<'a> {
         Ended { loaded: run.loaded, summary, trouble, events: log.events }
     }
 
-    /// Stops the nodes. Returns how each ended.
+    /// Stops the nodes. Returns how each node ended.
     fn stop(&mut self) -> Vec<(NodeId, End)> {
         // A process that SIGSTOP has stopped cannot read the order, so it is resumed first.
         for (_, fault) in std::mem::take(&mut self.faults) {
@@ -131,7 +131,8 @@ impl<'a> Launcher<'a> {
         {
             self.take(message);
         }
-        // A second Ctrl-C may leave reports in the pipes. A release is then not called false because an announcement is missing.
+        // After a second Ctrl-C, reports may stay unread in the pipes. So a release is not called false because an
+        // announcement is missing.
         for node in self.log.standing.unheard() {
             self.log.note(now_us(), &Fact::Unheard(node));
         }

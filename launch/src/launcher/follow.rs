@@ -1,4 +1,4 @@
-//! The launcher during a run: it takes the messages of the nodes and injects the faults on time.
+//! The launcher during a run: it takes the messages of the nodes and injects the faults at their times.
 
 use super::{Launcher, WITHOUT_END};
 use crate::children::Message;
@@ -15,7 +15,7 @@ use imrs_protocol::NodeId;
 use std::time::{Duration, Instant};
 
 impl Launcher<'_> {
-    /// Does the work that is due: injects faults, and judges the checks. Returns false if the run is over.
+    /// Does the work that is due now: injects faults, and judges the checks. Returns false if the run is over.
     pub fn advance(&mut self) -> Result<bool, LaunchError> {
         for message in std::mem::take(&mut self.early) {
             self.take(message);
@@ -33,12 +33,12 @@ impl Launcher<'_> {
         Ok(true)
     }
 
-    /// Waits for the next message of a node and takes it, at most until `until`, the next fault or the end of the run.
+    /// Waits for the next message of a node and takes it. Waits at most until `until`, the next fault or the end of the run.
     pub fn wait(&mut self, until: Instant) {
         let length = self.length();
         let next = self.faults.first().map_or(length, |(at, _)| *at).min(length);
         let until = (self.started + next).min(until);
-        // The launcher itself holds a sender, so an error means that nothing came in time.
+        // The launcher itself holds a sender, so an error means that no message came in time.
         if let Ok(message) = self.messages.recv_timeout(until.saturating_duration_since(Instant::now())) {
             self.take(message);
         }
@@ -48,8 +48,8 @@ impl Launcher<'_> {
         self.run.length.unwrap_or(WITHOUT_END)
     }
 
-    /// Whether nothing can happen any more: every script has ended, or its node is gone for good. With `until_idle` the run
-    /// is also over when only servers are left.
+    /// Whether nothing can happen any more: for every task, the script has ended or the node is gone for good. With
+    /// `until_idle` the run is also over when the only tasks that still run serve for ever.
     fn is_over(&self) -> bool {
         let standing = &self.log.standing;
         !self.restarts()
@@ -63,7 +63,7 @@ impl Launcher<'_> {
         self.faults.iter().any(|(_, fault)| matches!(fault, Fault::Restart(_)))
     }
 
-    /// If the run has no declared end, notes once that only tasks are left that serve for ever.
+    /// If the run has no declared end, notes once that the only tasks that still run serve for ever.
     fn tell_idle(&mut self) {
         if self.idle_told || self.run.length.is_some() || self.restarts() || self.log.is_over {
             return;
@@ -76,8 +76,8 @@ impl Launcher<'_> {
 
     fn carry_out(&mut self, fault: Fault) -> Result<(), LaunchError> {
         let name = |node: NodeId| self.cell.nodes[node.index()].name.clone();
-        // Events of the killed node from just before the kill may be unreported. So the kill is noted with a time from
-        // before it.
+        // The killed node may not have reported its events from just before the kill. So the kill is noted with a time
+        // from before the call.
         let before = now_us();
         match fault {
             Fault::Kill(node) => self.children.kill(node),
@@ -134,8 +134,9 @@ impl Launcher<'_> {
     pub(super) fn take(&mut self, message: Message) {
         match message {
             Message::Said(node, word) => {
+                self.heard.insert(node, Instant::now());
                 match &word {
-                    // The node was restarted: all nodes get its address, and it gets the addresses of all nodes.
+                    // The node was restarted: all other nodes get its address, and it gets the addresses of all nodes.
                     Word::Bound { address: Some(address), observe } => {
                         self.book.insert(self.name(node), *address);
                         let book = Order::Book(self.book.clone());
@@ -153,12 +154,13 @@ impl Launcher<'_> {
                 }
             }
             Message::Gone(node, incarnation) => {
-                // The launcher did not kill this node: something else did, or the node failed. Its last messages are
-                // missing.
+                // The launcher did not kill this node: something else killed it, or the node failed. The last messages
+                // of the node are missing.
                 if !self.log.is_over && self.children.runs(node, incarnation) {
                     self.log.note(now_us(), &Fact::Died(node));
                 }
                 if self.children.incarnation(node) == incarnation {
+                    self.heard.remove(&node);
                     // The judge must first get the notices that the node wrote about its commands before it died.
                     self.hear_of_commands();
                     self.log.note(now_us(), &Fact::Gone(node));
@@ -176,7 +178,7 @@ impl Launcher<'_> {
         notices.into_iter().for_each(|notice| self.log.note(now_us(), &Fact::Noticed(notice)));
     }
 
-    /// Schedules the fault that waits for an action, if this event is the beginning of that action.
+    /// Schedules the fault that waits for the beginning of an action, if this event is that beginning.
     fn watch(&mut self, did: &Did) {
         let Some((moment, been)) = self.moment.as_mut().filter(|_| !self.log.is_over) else { return };
         let ScriptEvent::Begins { action, .. } = &did.what else { return };
@@ -191,8 +193,8 @@ impl Launcher<'_> {
         }
     }
 
-    /// Schedules a fault and its end. `at` is the beginning of the action on which they depend, in microseconds of the clock
-    /// that all processes share.
+    /// Schedules a fault and its end. `at` is the beginning of the action that triggers them, in microseconds of the
+    /// clock that all processes share.
     fn plan(&mut self, moment: &Moment, at: u64) {
         let passed = Duration::from_micros(now_us().saturating_sub(at));
         let due = self.elapsed() + moment.after.saturating_sub(passed);

@@ -1,4 +1,4 @@
-//! Errors that end a node.
+//! The errors because of which a node ends.
 
 use imrs_client::PlaceError;
 use imrs_runtime::StartError;

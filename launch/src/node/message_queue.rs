@@ -6,7 +6,7 @@ use std::io::{self, Write};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 
-/// The length of the queue from which on a node defers messages that may also be sent later.
+/// If the queue is at least this long, a node defers messages that it can send later.
 const WAITING: usize = 16_384;
 
 /// An unbounded queue of messages to the launcher, and the thread that writes them in order.
@@ -24,7 +24,7 @@ struct Shared {
 #[derive(Default)]
 struct Words {
     waiting: VecDeque<Word>,
-    /// How many messages the thread has taken out of the queue, and has not written yet.
+    /// How many messages the thread has taken from the queue, and has not written to the pipe yet.
     in_hand: usize,
     ended: bool,
     /// The error of the pipe; most likely the launcher has exited.
@@ -32,10 +32,10 @@ struct Words {
 }
 
 impl MessageQueue {
-    /// Starts the thread.
+    /// Starts the thread that writes the messages.
     ///
     /// # Errors
-    /// The operating system refuses a thread.
+    /// An error if the operating system refuses a thread.
     pub fn start(pipe: Box<dyn Write + Send>) -> io::Result<Self> {
         let shared = Arc::<Shared>::default();
         let own = Arc::clone(&shared);
@@ -46,7 +46,7 @@ impl MessageQueue {
     /// Queues a message without waiting.
     ///
     /// # Errors
-    /// The pipe failed.
+    /// An error if the pipe has failed.
     pub fn say(&self, word: Word) -> io::Result<()> {
         let mut words = self.shared.lock();
         if let Some(error) = &words.failed {
@@ -57,7 +57,7 @@ impl MessageQueue {
         Ok(())
     }
 
-    /// Whether the queue has room. If not, the node should add only messages that cannot wait.
+    /// Whether the queue is short enough. If not, the node should add only messages that cannot wait.
     pub fn has_room(&self) -> bool {
         let words = self.shared.lock();
         words.waiting.len() + words.in_hand < WAITING
@@ -66,7 +66,7 @@ impl MessageQueue {
     /// Waits until all messages have been written to the pipe.
     ///
     /// # Errors
-    /// The pipe failed.
+    /// An error if the pipe has failed.
     pub fn end(mut self) -> io::Result<()> {
         self.close();
         if let Some(thread) = self.thread.take() {

@@ -1,4 +1,4 @@
-//! Runs one node of a cell under the orders of its launcher, in a process or a thread of its own.
+//! Runs one node of a cell under the orders of its launcher. The node has a process or a thread of its own.
 
 pub mod error;
 mod message_queue;
@@ -40,9 +40,9 @@ use way::{Way, socket};
 const TELL_EVERY: Duration = Duration::from_millis(20);
 /// How often the node reports its counters. The counters of a killed node are at most this old.
 const COUNT_EVERY: Duration = Duration::from_millis(200);
-/// How often a node greets a neighbour that does not answer: with each report of the counters, for two seconds.
+/// How often a node greets a neighbour that does not answer. It does so with each report of the counters, for two seconds.
 const GREETINGS: u32 = 10;
-/// How long the tasks have to end when the node stops.
+/// How long the tasks may take to end when the node stops.
 const PATIENCE: Duration = Duration::from_secs(2);
 
 type FaultyWay = FaultyLink<Way>;
@@ -56,10 +56,10 @@ struct Process {
     _state: Option<incarnation::State>,
     /// How many more times the node greets silent neighbours.
     greetings: u32,
-    /// The running node; none once it has been stopped.
+    /// The running node; `None` once it has been stopped.
     runtime: Option<Runtime>,
     node: Arc<imrs_runtime::Node>,
-    /// The servers of monitors, which end when they are dropped. The first one, at the Unix socket, may be missing.
+    /// The servers of monitors, which end when they are dropped. The first server, at the Unix socket, may be missing.
     _observer: Option<Observer>,
     over_tcp: Option<Observer>,
     /// The TCP addresses at which the other nodes serve monitors.
@@ -69,16 +69,16 @@ struct Process {
     /// Collects the events of the scripts.
     narrator: Arc<Narrator>,
     untold: u64,
-    /// What the recording lacks, which is known once the recording has ended.
+    /// What the recording lacks, in words; known once the recording has ended.
     unrecorded: Option<String>,
-    /// Whether the address book has come. The scripts begin then, unless they are held back.
+    /// Whether the node has got the address book. The scripts begin then, unless they are held back.
     has_book: bool,
-    /// When the next held-back script begins.
+    /// When the next held-back script may begin.
     begins: Option<Instant>,
     out: MessageQueue,
 }
 
-/// Runs the node that standard input describes until the launcher orders a stop, or exits.
+/// Runs the node that the setup on standard input describes, until the launcher orders a stop, or exits.
 ///
 /// # Errors
 /// [`NodeError`].
@@ -88,8 +88,8 @@ pub fn run_process(host: &'static dyn Host) -> Result<(), NodeError> {
     run(host, BufReader::new(io::stdin()), Box::new(io::stdout()), None)
 }
 
-/// Runs the node that `input` describes until the launcher orders a stop, or exits. If several nodes share this process,
-/// `network` connects them.
+/// Runs the node that the setup in `input` describes, until the launcher orders a stop, or exits. If several nodes
+/// share this process, `network` connects them.
 ///
 /// # Errors
 /// [`NodeError`].
@@ -118,13 +118,13 @@ pub fn run(
     }
 }
 
-/// How a node leaves the run: in order, or as after a power cut.
+/// How a node ends: in order, or as after a power cut.
 enum Leave {
     InOrder,
     AtOnce,
 }
 
-/// Reads the launcher's orders until the pipe ends.
+/// Reads the launcher's orders until the pipe of orders ends.
 fn listen(mut input: impl BufRead, orders: &Sender<Order>) {
     while let Ok(Some(order)) = hear(&mut input) {
         if orders.send(order).is_err() {
@@ -148,7 +148,8 @@ impl Process {
         // Real-time scheduling is set before any other thread of the node starts, because threads inherit it.
         let real_time = if setup.rt { rt::begin(id.index()) } else { RealTime::NotAsked };
         if network.is_none() {
-            // A slow reader of standard error must not block the node. A launcher that runs nodes as threads did this.
+            // A slow reader of standard error must not block the node. If nodes are threads of the launcher, the
+            // launcher has already done this.
             rt::behind(|| host.complain_aside())?;
         }
 
@@ -222,8 +223,8 @@ impl Process {
                 Err(RecvTimeoutError::Timeout) if tell_at > Instant::now() => {}
                 Err(RecvTimeoutError::Timeout) => {
                     tell_at = Instant::now() + TELL_EVERY;
-                    // A stopped launcher must not block the node. While the queue to the launcher is full, events stay in
-                    // bounded buffers, which count what they drop.
+                    // A stopped launcher must not block the node. While the queue to the launcher is full, events stay
+                    // in bounded buffers, which count the events that they drop.
                     if !self.out.has_room() {
                         continue;
                     }
@@ -241,7 +242,8 @@ impl Process {
     fn begin(&mut self, book: &BTreeMap<String, SocketAddr>) -> Result<(), NodeError> {
         for (name, &address) in book {
             if let Some(node) = self.node_named(name).filter(|&node| node != self.table.node) {
-                // A node without a link to this one gives an error here, which is ignored: it needs no address.
+                // This gives an error for a node without a link to this one. The error is ignored, because this node
+                // does not need that address.
                 let _ = self.link.inner().udp().map(|udp| udp.set_address(node, Some(address)));
             }
         }
@@ -258,7 +260,8 @@ impl Process {
         Ok(self.out.say(Word::Started)?)
     }
 
-    /// Greets the neighbours that were not heard yet, so that both sides learn early whether they can communicate.
+    /// Greets the neighbours from which nothing was received yet, so that both sides learn early whether they can
+    /// communicate.
     fn greet(&mut self) {
         if self.greetings > 0 {
             self.greetings -= 1;
@@ -295,11 +298,12 @@ impl Process {
 
     /// Stops the tasks, reports all remaining events, and ends the recording.
     fn end(mut self) -> Result<(), NodeError> {
-        // The events have already reported how the scripts ended, so the returned ends are not needed.
+        // The events have already reported how the scripts ended, so the returned values are not needed.
         drop(self.runtime.take().map(|runtime| runtime.stop(PATIENCE)));
         self.tell()?;
         self.count()?;
-        // The recording stops after the counters were sent, which must reach the launcher even if the disk is slow.
+        // The recording stops only now, after the counters were sent, because the counters must reach the launcher even
+        // if the disk is slow.
         self.unrecorded = self.recording.take().and_then(|recording| recording.stop(PATIENCE));
         if self.unrecorded.is_some() {
             self.count()?;
@@ -309,7 +313,7 @@ impl Process {
     }
 }
 
-/// The link of a node to its neighbours, and the lock on its stored incarnation if it runs on its own.
+/// Makes the link of a node to its neighbours. Also returns the lock on the node's stored incarnation, if it runs on its own.
 fn joined(
     host: &'static dyn Host,
     setup: &mut Setup,
@@ -327,7 +331,7 @@ fn joined(
             (Way::Udp(Box::new(link)), state)
         }
     };
-    // Each node seeds its losses differently, so that no two links lose the same datagrams.
+    // Each node has another seed for its losses, so that no two links lose the same datagrams.
     let link = Arc::new(FaultyLink::new(way, setup.seed.wrapping_add(u64::from(table.node.0))));
     link.set_loss(setup.loss);
     Ok((link, state))
@@ -361,7 +365,7 @@ fn observers(
     Ok((observer.ok(), over_tcp.transpose()?))
 }
 
-/// The executor of the scripts' actions: commands where they are given, simulation otherwise.
+/// Makes the executor of the scripts' actions: commands for actions that have one, a simulation for all others.
 fn actions(host: &'static dyn Host, setup: &Setup, loaded: &Loaded) -> Result<Arc<dyn Actions>, NodeError> {
     let results = loaded.results();
     let reals = results.iter().filter(|result| matches!(result.give, Give::Real(..)));

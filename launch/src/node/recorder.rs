@@ -22,11 +22,11 @@ pub struct NodeRecording {
 }
 
 impl NodeRecording {
-    /// Begins a recording in a new file that only its owner can read. The node must be bound and locked before: only then
-    /// may it replace the recording of an earlier run, if `--force` allows that (D151).
+    /// Begins a recording in a new file that only its owner can read. The node must have bound its socket and locked its
+    /// incarnation before: only then may it replace the recording of an earlier run, if `--force` allows that (D151).
     ///
     /// # Errors
-    /// The file cannot be created or written.
+    /// An error if the file cannot be created or written.
     pub fn start(
         host: &'static dyn Host,
         path: &Path,
@@ -49,7 +49,7 @@ impl NodeRecording {
         Ok(Self { recorder: FileRecorder::start(file, table, &about, failed)?, path })
     }
 
-    /// The recorder that receives every input.
+    /// The recorder that receives every input of the node.
     pub fn recorder(&self) -> Arc<dyn Recorder> {
         Arc::clone(&self.recorder) as Arc<dyn Recorder>
     }
@@ -63,12 +63,12 @@ impl NodeRecording {
         })
     }
 
-    /// What the recording lacks so far, in words; `None` if it lacks nothing.
+    /// What the recording lacks so far, in words; `None` if it is complete so far.
     pub fn missing(&self) -> Option<String> {
         self.recorder.status().and_then(|status| self.words(&status))
     }
 
-    /// Ends the recording. Returns what it lacks, in words; `None` if it lacks nothing.
+    /// Ends the recording. Returns what the recording lacks, in words; `None` if it is complete.
     pub fn stop(self, patience: Duration) -> Option<String> {
         let status = self.recorder.stop(patience)?;
         self.words(&status)

@@ -11,21 +11,20 @@ use imrs_wire::envelope::Refused;
 use imrs_wire::obs::{Count, TimedEvent};
 use std::collections::BTreeMap;
 
-/// How many observations of each state machine are read at once: all that it keeps.
+/// How many observations of each state machine are read at once: all that the machine keeps.
 const ROOM: usize = usize::MAX;
 
 impl Process {
     /// Reports all events since the last report.
     pub(super) fn tell(&mut self) -> Result<(), NodeError> {
         let until = self.narrator.is_asked().then(|| self.node.told_until());
-        // Script events are taken before the observations and sent after them, so that an announcement always precedes its
-        // release.
+        // Script events are taken before the observations and sent after them, so that the announcement of a round
+        // always precedes a release in it.
         let (narrated, lost) = self.narrator.take();
         let mut observed = Vec::new();
         let missed = self.observations.drain(ROOM, &mut observed);
         self.untold += missed;
-        // The counts of missing events are sent first, because the receiver must know of them before it judges the
-        // events.
+        // The counts of missing events are sent first, because the launcher must know them before it judges the events.
         if missed > 0 || lost.is_some() {
             self.count()?;
         }
@@ -66,7 +65,7 @@ impl Process {
         link.refusals().into_iter().map(one).collect()
     }
 
-    /// Reports the counters since the start.
+    /// Reports the node's counters since its start.
     pub(super) fn count(&mut self) -> Result<(), NodeError> {
         let snapshot = self.node.snapshot(0);
         let injected = self.link.injected();
@@ -101,7 +100,7 @@ fn named(counts: &[Count]) -> BTreeMap<String, u64> {
     counts.iter().filter(|c| c.count > 0).map(|c| (c.name.clone(), c.count)).collect()
 }
 
-/// Converts an observed announcement of a round; none for any other event.
+/// Converts an observed announcement of a round; returns `None` for any other event.
 fn announcement(event: &TimedEvent) -> Option<Event> {
     let task = event.task?;
     let announced = matches!(event.what.event, Observed::Reached | Observed::Rejoined);
@@ -115,7 +114,7 @@ fn announcement(event: &TimedEvent) -> Option<Event> {
     })
 }
 
-/// Converts an observed change of a lease; none for any other event.
+/// Converts an observed change of a lease; returns `None` for any other event.
 fn lease(event: &TimedEvent) -> Option<Did> {
     let lease = match event.what.event {
         Observed::Granted => Lease::Granted,

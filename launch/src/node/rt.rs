@@ -12,10 +12,10 @@ use thread_priority::{
     RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
 };
 
-/// The cores that the process was allowed to use before it was pinned to one.
+/// The cores that the process was allowed to use before it was bound to one core.
 static CORES: OnceLock<CpuSet> = OnceLock::new();
 
-/// Priority of the tasks on a scale of 100: above all ordinary threads, below the kernel's own real-time threads.
+/// The priority of the tasks on a scale of 100: above all ordinary threads, below the kernel's own real-time threads.
 const PRIORITY: u8 = 20;
 /// The lowest priority under SCHED_FIFO.
 const LAST: u8 = 1;
@@ -23,17 +23,17 @@ const LAST: u8 = 1;
 /// Why real-time scheduling is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum RtError {
-    /// Memory may not be locked.
+    /// The kernel does not let this user lock memory.
     #[error(
         "the kernel does not let this user lock memory ({0}): raise `memlock` to unlimited in /etc/security/limits.conf, or give the program the right with `setcap cap_ipc_lock,cap_sys_nice+ep`"
     )]
     Memory(Errno),
-    /// SCHED_FIFO may not be chosen.
+    /// The kernel does not let this user choose SCHED_FIFO.
     #[error(
         "the kernel does not let this user choose SCHED_FIFO ({0}): set `rtprio` to 50 in /etc/security/limits.conf, or give the program the right with `setcap cap_ipc_lock,cap_sys_nice+ep`"
     )]
     Scheduler(String),
-    /// The process may not be bound to a core.
+    /// The kernel does not let this process be bound to a core.
     #[error("the kernel does not let this user choose a core ({0})")]
     Core(Errno),
 }
@@ -48,10 +48,10 @@ pub fn begin(place: usize) -> RealTime {
     }
 }
 
-/// Runs `what` on a thread with the lowest real-time priority, on any allowed core; threads that it starts inherit both. An
-/// observer must never preempt a task. Yet no ordinary program may preempt an observer that holds the lock of a
-/// communication task, because the task would wait for that lock. A task of another node on the same core can still preempt
-/// the observer.
+/// Runs `what` on a thread with the lowest real-time priority, on any allowed core; threads that this thread starts
+/// inherit both. An observer must never preempt a task. Yet no ordinary program may preempt an observer that holds the
+/// lock of a communication task, because the task would wait for that lock. A task of another node on the same core can
+/// still preempt the observer.
 pub fn behind<T: Send>(what: impl FnOnce() -> T + Send) -> T {
     // Without `--rt` all threads are ordinary ones.
     let Some(cores) = CORES.get() else { return what() };
@@ -66,19 +66,19 @@ pub fn behind<T: Send>(what: impl FnOnce() -> T + Send) -> T {
     })
 }
 
-/// The cores that the process was allowed to use before it was pinned; empty if it was not.
+/// The cores that the process was allowed to use before it was bound to one core; empty if it was not bound.
 pub fn cores() -> Vec<usize> {
     let cores = CORES.get().into_iter();
     cores.flat_map(|cores| (0..CpuSet::MAX_CPU).filter(|&core| cores.is_set(core))).collect()
 }
 
-/// What the kernel would refuse to [`begin`], without a lasting effect.
+/// What the kernel would refuse to [`begin`]. The check has no lasting effect.
 pub fn refused() -> Vec<RtError> {
     let memory = lock();
-    // This runs on a thread of its own, because the settings of a thread end with the thread.
+    // The check runs on a thread of its own, because the settings of a thread end with the thread.
     let tried = thread::spawn(|| [choose(PRIORITY), pin(0)]).join();
     let all = tried.unwrap_or_else(|_| [Err(RtError::Scheduler("no thread".into())), Ok(())]);
-    // If locking was refused, there is nothing to unlock.
+    // If the kernel refused to lock memory, there is nothing to unlock.
     let _ = munlockall();
     std::iter::once(memory).chain(all).filter_map(Result::err).collect()
 }

@@ -12,20 +12,21 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{self, Receiver};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Most events that are queued until they can be sent.
+/// The greatest number of events that are queued until they can be sent.
 const KEPT: usize = 65_536;
 
 /// Watches the scripts, and queues the events that the launcher shows or judges.
 pub struct Narrator {
     loaded: Arc<Loaded>,
     told: mpsc::Sender<Word>,
-    /// The receiving end of `told`, used only by the node's own thread.
+    /// The receiving end of `told`. Only the node's own thread uses it.
     kept: Mutex<Receiver<Word>>,
     /// How many messages are queued.
     waiting: AtomicUsize,
     /// How many messages were dropped.
     lost: AtomicU64,
-    /// When the first event after the last [`Self::take`] was dropped, in microseconds; `u64::MAX` if none was.
+    /// When the first event after the last [`Self::take`] was dropped, in microseconds; `u64::MAX` if no event was
+    /// dropped since.
     lost_since: AtomicU64,
     state: Mutex<State>,
 }
@@ -40,12 +41,12 @@ struct State {
 #[derive(Clone, Debug, Default)]
 struct Progress {
     statement: Option<Address>,
-    /// By port, the time and the statement of the script's last request there, until its outcome: a handler may run in
-    /// between.
+    /// For each port, the time and the statement of the script's last request on that port, until its outcome. There
+    /// may be several, because a handler may run in between.
     asked: BTreeMap<PortId, (u64, Option<Address>)>,
-    /// The script's last message: the port, and the statement that sent it.
+    /// The script's last message: its port, and the statement that sent it.
     sends: Option<(PortId, Option<Address>)>,
-    /// The action that runs on each activation.
+    /// The action that runs on each activation of the task.
     acts: Vec<Acts>,
 }
 
@@ -55,8 +56,8 @@ struct Acts {
     level: u8,
     action: u16,
     statement: Option<Address>,
-    /// Whether the action takes no time, because it reads something or gives an order. Such actions are too frequent to
-    /// report.
+    /// Whether the action takes no time, because it only reads a value or gives an order. Such actions are too frequent
+    /// to report.
     at_once: bool,
 }
 
@@ -78,7 +79,7 @@ impl Narrator {
         }
     }
 
-    /// Takes the events since the last call, and the instant of the first one that was dropped since then.
+    /// Takes the events since the last call, and the time of the first event that was dropped since then.
     pub fn take(&self) -> (Vec<Word>, Option<u64>) {
         let lost = self.lost_since.swap(u64::MAX, Ordering::AcqRel);
         let words: Vec<Word> = self.kept.lock().unwrap_or_else(PoisonError::into_inner).try_iter().collect();
@@ -101,8 +102,8 @@ impl Narrator {
         !self.state.lock().unwrap_or_else(PoisonError::into_inner).sampler.is_blind()
     }
 
-    /// Queues a message about this instant. Messages about the end of a task are never dropped, because there is only one
-    /// per task.
+    /// Queues a message about this instant. Messages about the end of a task are never dropped, because there is only
+    /// one of them per task.
     fn tell(&self, at: u64, word: Word) {
         let is_end =
             matches!(&word, Word::TaskEnded { .. } | Word::Did(Did { what: ScriptEvent::Ended(_), .. }));
@@ -178,7 +179,7 @@ impl Narrator {
             }
             End::Fault { fault, at } => (format!("failed: {fault}"), EndSort::Failed, Some(at)),
         };
-        // The reason of an abort may already name the line of the statement.
+        // The text about an abort may already name the line of the statement.
         let how = match at_line(place).filter(|line| sort != EndSort::Well && !words.ends_with(line)) {
             Some(line) => format!("{words} ({line})"),
             None => words.clone(),

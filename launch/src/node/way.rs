@@ -12,7 +12,7 @@ use imrs_runtime::link::{Leading, Link, LinkBusy, PollEnd, Sink};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::time::Instant;
 
-/// A link of either kind.
+/// The link of a node, of either kind.
 pub enum Way {
     /// A UDP socket.
     Udp(Box<UdpLink>),
@@ -21,7 +21,7 @@ pub enum Way {
 }
 
 impl Way {
-    /// The socket, if there is one.
+    /// The UDP socket, if the node has one.
     pub fn udp(&self) -> Option<&UdpLink> {
         match self {
             Self::Udp(link) => Some(link),
@@ -74,7 +74,7 @@ impl Link for Way {
 /// Binds the socket of a node, and takes the keys out of its setup. A node that runs on its own also counts its incarnation.
 ///
 /// # Errors
-/// [`NodeError`]: the keys are none of this node, the socket cannot be bound, or the incarnation cannot be counted.
+/// [`NodeError`]: the keys do not belong to this node, the socket cannot be bound, or the incarnation cannot be counted.
 pub fn socket(
     host: &'static dyn Host,
     setup: &mut Setup,

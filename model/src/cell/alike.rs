@@ -6,8 +6,8 @@ use super::verdict::Finding;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::Program;
 
-/// Merges each finding that repeats an earlier one into it: the earlier one's [`Finding::also`] gets the task
-/// of the later one.
+/// Merges each finding that repeats an earlier finding into the earlier one, whose [`Finding::also`] gets the task of the
+/// later one.
 pub(super) fn told_once(plan: &CellPlan, findings: Vec<Finding>) -> Vec<Finding> {
     let mut kept: Vec<Finding> = Vec::new();
     for finding in findings {
@@ -20,7 +20,7 @@ pub(super) fn told_once(plan: &CellPlan, findings: Vec<Finding>) -> Vec<Finding>
     kept
 }
 
-/// Whether two findings are the same, at the same statement of two tasks with the same program.
+/// Whether two findings are equal but for the task: at the same statement of two tasks with the same program.
 fn repeats(plan: &CellPlan, first: &Finding, other: &Finding) -> bool {
     let key = |finding: &Finding| (finding.kind, finding.phase, finding.hypothesis, finding.address);
     let (Some(one), Some(two)) = (first.task, other.task) else { return false };
@@ -29,8 +29,8 @@ fn repeats(plan: &CellPlan, first: &Finding, other: &Finding) -> bool {
         && is_alike(plan, (one, &first.cause), (two, &other.cause))
 }
 
-/// Whether two findings of runs are the same, at the same statement of two tasks with the same program, whatever the
-/// runs' faults.
+/// Whether two findings of random runs are equal but for the task and the runs' faults: at the same statement of two tasks
+/// with the same program.
 pub(super) fn shows_alike(plan: &CellPlan, first: &Shown, other: &Shown) -> bool {
     let (Some(one), Some(two)) = (first.task, other.task) else { return false };
     let [one, two] = [one, two].map(TaskId::from_index);
@@ -58,7 +58,7 @@ fn does_the_same(plan: &CellPlan, one: TaskId, two: TaskId) -> bool {
     of(one).is_some_and(|program| Some(program) == of(two))
 }
 
-/// A reason without the line number that the compiler appends.
+/// The reason of an abort without the line number that the compiler appends.
 fn without_line(reason: &str) -> &str {
     match reason.rsplit_once(", line ") {
         Some((what, line)) if line.bytes().all(|byte| byte.is_ascii_digit()) => what,
@@ -73,7 +73,7 @@ fn reads_alike(one: &str, two: &str, (a, b): (&str, &str)) -> bool {
         && one.iter().zip(&two).all(|(x, y)| x == y || (*x, *y) == (a, b) || (*x, *y) == (b, a))
 }
 
-/// Splits a text into its names and numbers, and what lies between them.
+/// Splits a text into its names and numbers, and the text between them.
 fn words(text: &str) -> Vec<&str> {
     let part = |c: char| c.is_alphanumeric() || c == '_';
     let chars: Vec<(usize, char)> = text.char_indices().collect();

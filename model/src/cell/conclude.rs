@@ -12,10 +12,10 @@ use imrs_protocol::TaskId;
 use imrs_protocol::script::{Address, Term};
 use std::sync::Arc;
 
-/// Joins the phases. `is_open`: tasks outside the cell may use their ports at other times or with other values than those tried,
-/// or actions may give other results.
+/// Joins the results of the phases. `is_open`: more may be possible than was tried, because tasks outside the cell may use
+/// their ports at other times or with other values, or actions may give other results.
 pub(super) fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, (outside, is_open): (Tried, bool)) -> Verdicts {
-    // A finding that ends a path may hide what lies behind it, so then no statement counts as unreachable.
+    // A finding that ends a path may hide what comes after it. If there was one, no statement counts as unreachable.
     let complete = done.iter().all(|done| done.coverage.complete && !done.coverage.pruned);
     let mut verdicts = Verdicts { outside, ..Verdicts::default() };
     let missed = plan.tasks.iter().enumerate().map(|(number, conduct)| {
@@ -63,7 +63,7 @@ pub(super) fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, (outside, is_open)
             }
         }
     }
-    // An endless wait at the place of a deadlock is already part of the deadlock.
+    // An endless wait at the place of a deadlock is part of that deadlock.
     let deadlocks: Vec<_> = verdicts.of(Kind::Deadlock).map(place).collect();
     verdicts.warnings.retain(|warning| !deadlocks.contains(&place(warning)));
     verdicts.findings.sort_by_key(|finding| (finding.kind, finding.phase, finding.task, finding.address));
@@ -71,14 +71,14 @@ pub(super) fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, (outside, is_open)
     verdicts
 }
 
-/// Whether two findings are about the same place, whatever moves lead to them.
+/// Whether two findings are about the same place in the cell, whatever moves lead to them.
 fn is_the_same(one: &Finding, other: &Finding) -> bool {
     let key =
         |finding: &Finding| (finding.kind, finding.task, finding.address, finding.check, finding.couple);
     key(one) == key(other) && (one.kind != Kind::Machine || one.cause == other.cause)
 }
 
-/// Terms of checks that never changed in any state of any phase: `r2.active = false`.
+/// The terms of checks that never changed in any state of any phase, as text: `r2.active = false`.
 fn still(plan: &Arc<CellPlan>, done: &[Done]) -> Vec<(usize, String)> {
     let start = RunState::new(plan, &CellFaults::default());
     let all = done.iter().map(|done| done.reached.clone()).reduce(Reached::join).unwrap_or_default();

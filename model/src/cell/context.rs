@@ -1,4 +1,4 @@
-//! Adds to a finding the values that explain it, and what the tasks that it concerns do then.
+//! Adds to a finding the values that explain it, and what the tasks that it concerns do at that time.
 
 use super::judge::{Shown, name, program};
 use super::legend::shown;
@@ -11,7 +11,7 @@ use imrs_protocol::TaskId;
 use imrs_protocol::script::{Activity, Address, End, Op, Predicate, Slot, Term, Variable};
 use std::fmt::Write as _;
 
-/// Returns the cause of a finding with the values that explain it, and the tasks that it concerns. `begun` has the
+/// Returns the cause of a finding with the values that explain it, and the tasks that it concerns. `begun` gives the
 /// statement that each task began last.
 pub(super) fn context(
     run_state: &RunState,
@@ -73,8 +73,8 @@ fn ended(run_state: &RunState, task: usize, end: End) -> String {
     }
 }
 
-/// The variables that the statement of a finding reads, such as `height = 42`. Variables of handlers are left out,
-/// because they ended with their activation.
+/// The variables that the statement of a finding reads, such as `height = 42`. Variables of handlers are left out, because
+/// these variables ended with their activation.
 fn of_statement(run_state: &RunState, shown: &Shown) -> Vec<String> {
     let read = || {
         let (task, at) = (shown.task?, usize::from(shown.address?));
@@ -99,25 +99,25 @@ fn equals(name: &str, declared: &Variable, value: i64) -> String {
     format!("{name} = {}", shown(declared.of, value))
 }
 
-/// Explains since when and by whose step a check is broken.
+/// Explains since when a check is broken, and which task's step broke it.
 pub(super) struct Origin {
     check: Option<usize>,
-    /// If the left side of a `leads` check has become true and its right side has not, the tick since then,
-    /// and the values that the left side read then.
+    /// If the left side of a `leads` check has become true and its right side is not true yet: the tick since then, and the
+    /// values that the left side read then.
     owed: Option<(u64, Vec<String>)>,
-    /// The tasks whose scripts ran in the last step.
+    /// The tasks whose scripts ran in the last step of the path.
     acted: Vec<usize>,
 }
 
 impl Origin {
-    /// Begins at the start of a path.
+    /// The origin before the first step of a path.
     pub fn new(start: &RunState, check: Option<usize>) -> Self {
         let mut origin = Self { check, owed: None, acted: Vec::new() };
         origin.note(start, &[]);
         origin
     }
 
-    /// Adds a step of the path.
+    /// Takes note of a step of the path.
     pub fn note(&mut self, run_state: &RunState, turns: &[ScriptReaction]) {
         let Some(check) = self.check else { return };
         self.acted = turns.iter().map(|turn| turn.task).collect();
@@ -138,7 +138,7 @@ impl Origin {
         }
     }
 
-    /// The words to append to the cause of the finding.
+    /// The words about the origin, to be appended to the cause of the finding.
     pub fn words(&self, end: &RunState) -> String {
         let Some(holds) = self.check.and_then(|check| end.plan.checks.get(check)).map(|check| &check.holds)
         else {

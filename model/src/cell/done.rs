@@ -1,16 +1,16 @@
-//! The result of one phase of a check, before the verdict.
+//! The result of one phase of a check, before the verdict is made of it.
 
 use super::judge::Reached;
 use super::plan::Part;
 use super::verdict::{Coverage, Finding};
 
-/// The result of a phase, or of the search of one part in it.
+/// The result of a phase, or of the search of one independent part in it.
 pub(super) struct Done {
     pub coverage: Coverage,
     pub findings: Vec<Finding>,
     pub warnings: Vec<Finding>,
     pub reached: Reached,
-    /// For each check, whether its left side ever held.
+    /// For each check, whether its left side was ever true.
     pub mattered: Vec<bool>,
 }
 
@@ -26,7 +26,7 @@ impl Done {
         self
     }
 
-    /// Joins the results of two parts; `part` is that of `other`.
+    /// Joins the results of two parts; `part` is the part that `other` searched.
     pub fn beside(mut self, other: Self, part: &Part) -> Self {
         let (all, one) = (&mut self.coverage, other.coverage);
         let whole = match (all.complete, one.complete) {
@@ -58,7 +58,7 @@ impl Done {
     }
 }
 
-/// Copies the entries of the checks that belong to a part.
+/// Copies the entries of those checks that belong to a part.
 pub(super) fn take_checks<T>(all: &mut [T], other: Vec<T>, part: &Part) {
     for (check, (mine, other)) in all.iter_mut().zip(other).enumerate() {
         if part.has_check(check) {

@@ -7,11 +7,11 @@ use super::plan::{CellFaults, CellPlan, Part};
 use super::run_state::RunState;
 use std::sync::Arc;
 
-/// Searches each part by itself and joins the results. If no fault of the hypothesis can happen in a part, its result
-/// is taken from `plain`, the search without faults.
+/// Searches each independent part by itself and joins the results. If no fault of the hypothesis can happen in a part, the
+/// part's result is taken from `plain`, the search without faults.
 ///
-/// A clock drifts between two events, and a pause ends after an event. Events of other parts lie between those of this part, so a
-/// cell with drift or pauses is searched as a whole.
+/// A clock drifts between two events, and a pause ends after an event. Between two events of one part lie events of other
+/// parts, so a cell with drift or pauses is searched as a whole.
 pub(super) fn look_at_each(
     plan: &Arc<CellPlan>,
     parts: &[Part],
@@ -22,8 +22,8 @@ pub(super) fn look_at_each(
     if parts.is_empty() || !faults.may_be_apart() {
         return look(plan);
     }
-    // A search without faults stops at an `abort`, and one with faults goes on. So the search without faults can
-    // replace another one only if it was not stopped in this way.
+    // A search without faults stops at an `abort`, and a search with faults goes on. So the search without faults can
+    // replace one with faults only if it was not stopped in this way.
     let is_seen = plain.is_some_and(|plain| !plain.coverage.pruned);
     let touched = |part: &&Part| !is_seen || part.is_touched_by(plan, faults);
     let mut searched: Vec<&Part> = parts.iter().filter(touched).collect();

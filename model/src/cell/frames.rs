@@ -1,4 +1,4 @@
-//! Shows the path to a finding as a monitor sees nodes: after each step the state and the observations of every node.
+//! Shows the path to a finding as a monitor sees nodes: the state and the observations of every node after each step.
 
 use super::parts::{only, parts};
 use super::plan::{CellFaults, CellPlan};
@@ -14,24 +14,24 @@ use imrs_protocol::{Event, Incarnation, NodeId, Observation, Reason, TaskId};
 use imrs_wire::obs::{Gathering, Liveness, Snapshot, TimerEntry};
 use std::sync::Arc;
 
-/// The most waiting messages of a port that a snapshot lists.
+/// The greatest number of waiting messages that a snapshot lists for one port.
 const QUEUE_LIMIT: usize = 64;
 
-/// A node after a step.
+/// A node after a step of the path.
 #[derive(Clone, Debug)]
 pub struct NodeFrame {
     /// The node's incarnation.
     pub incarnation: Incarnation,
     /// The node's state; `None` while the node is down.
     pub snapshot: Option<Snapshot>,
-    /// Observations of the step: at a task, or at the transit buffer (`None`).
+    /// Observations of the step, each at a task, or at the transit buffer (`None`).
     pub observed: Vec<(Option<TaskId>, Observation)>,
 }
 
 /// Something that happened in a step.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Shows {
-    /// A text.
+    /// A text about the step.
     Said(String),
     /// A task began the statement at this operation of its program.
     Began(TaskId, Address),
@@ -40,20 +40,21 @@ pub enum Shows {
 /// A step of the path to a finding.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// Ticks since the start.
+    /// Ticks since the start of the path.
     pub tick: u64,
-    /// Whether the step stands out: it has a fault, a packet that does not simply arrive, or a script that ends badly, or it is
-    /// the last.
+    /// Whether the step stands out: it is the last one, or it has a fault, a packet that does not simply arrive, or a
+    /// script that ends badly.
     pub odd: bool,
     /// What happened in the step, in order.
     pub happened: Vec<Shows>,
-    /// What each task does after the step, by position of the task.
+    /// The state of each task after the step, by position of the task.
     pub tasks: Vec<TaskView>,
-    /// The nodes after it, by position.
+    /// The state of each node after the step, by position of the node.
     pub nodes: Vec<NodeFrame>,
 }
 
-/// The path to a finding of `plan`: the state before the first step, then each step. Empty for a finding without moves.
+/// The path to a finding of `plan`: the scene before the first step, then the scene after each step. Empty for a finding
+/// without moves.
 #[must_use]
 pub fn scenes(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Scene> {
     let plan = &super::outside::with_programs(plan);
@@ -128,7 +129,7 @@ fn nodes(run_state: &RunState, log: &[Effect], dropped: &[[u64; Reason::ALL.len(
     run_state.cell.nodes.iter().enumerate().map(frame).collect()
 }
 
-/// Clocks stay at zero: the caller knows the time of the model.
+/// The snapshot of a node. Its clocks stay at zero: the caller knows the time of the model.
 fn snapshot(run_state: &RunState, node: usize, dropped: [u64; Reason::ALL.len()]) -> Snapshot {
     let node_state = &run_state.cell.nodes[node];
     let parts = node_state.node.parts();
@@ -149,15 +150,15 @@ fn snapshot(run_state: &RunState, node: usize, dropped: [u64; Reason::ALL.len()]
         gathering.task(liveness, 0, machine.view(&node_state.table, QUEUE_LIMIT), &[]);
     }
     let entry = |(owner, id, remaining)| TimerEntry { owner, id, remaining };
-    // The log already counts the packets that the transit buffer drops.
+    // The log of the step already counts the packets that the transit buffer drops.
     let mut transit = parts.transit.view();
     transit.discarded.clear();
     let timers = parts.timer.entries().into_iter().map(entry).collect();
     Snapshot { timers, ..gathering.snapshot(transit) }
 }
 
-/// What happened in a step, in order: the inputs, the statements that began, the scripts that ended, and the packets
-/// that left.
+/// What happened in a step, in order: the inputs, the statements that began, the scripts that ended, and the packets that
+/// left nodes.
 fn happenings(walked: &Walked<'_>, passed: u64) -> Vec<Shows> {
     let (came, ended) = walked.notes.split_at(walked.notes.len() - walked.ended);
     let words = |note: &Note| note.words(&walked.lanes.names);

@@ -1,4 +1,4 @@
-//! Compares the search with random walks through the same cell, which are never packed.
+//! Compares the search of a cell with random walks through the same cell, whose states are never packed.
 //!
 //! ```text
 //!   never packed   s0 --move--> s1 --move--> s2 ...      each move drawn among those that may happen
@@ -6,10 +6,11 @@
 //!   as searched   load(store) --move--> the same script steps, next moves and bytes, and a state that the search has kept
 //! ```
 //!
-//! If a cell has independent parts, their searches must have found and reached what a walk does, too.
+//! If a cell has independent parts, their searches must also have found and reached everything that a walk finds and
+//! reaches.
 //!
 //! A verdict is only as good as its packed states. No program may behave differently because of something that packing
-//! omits, and a state that a reduction omits must show nothing new. The walks check both at every step.
+//! omits, and a state that a reduction omits must show nothing new. The random walks check both at every step.
 
 use super::follow::plain;
 use super::judge::{Reached, Shown};
@@ -29,29 +30,29 @@ use std::fmt;
 use std::ops::AddAssign;
 use std::sync::Arc;
 
-/// Counts of a comparison in which nothing differed.
+/// The counts of a comparison that found no difference.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Agreement {
-    /// Searches: one without faults, one for each hypothesis.
+    /// The number of searches: one without faults, and one for each fault hypothesis.
     pub searches: u32,
-    /// Searches that covered everything.
+    /// The number of searches that covered everything.
     pub complete: u32,
-    /// States that the searches kept.
+    /// The number of states that the searches kept.
     pub states: u64,
-    /// Moves of the walks.
+    /// The number of moves of the random walks.
     pub steps: u64,
-    /// States of walks that were looked up among the kept states.
+    /// The number of states of random walks that were looked up among the kept states.
     pub looked_up: u64,
-    /// Findings whose paths were replayed.
+    /// The number of findings whose paths were replayed.
     pub findings: u64,
-    /// Pauses that began in walks.
+    /// The number of pauses that began in random walks.
     pub pauses: u64,
-    /// Pauses that ended in walks.
+    /// The number of pauses that ended in random walks.
     pub wakes: u64,
 }
 
 impl Agreement {
-    /// Counts a move of a walk.
+    /// Counts a move of a random walk.
     fn walked(&mut self, step: CellMove) {
         let begins =
             matches!(step, CellMove::Pause(..) | CellMove::PauseBefore(..) | CellMove::PauseNext(..));
@@ -74,7 +75,7 @@ impl AddAssign for Agreement {
     }
 }
 
-/// A difference between the search and the cell that is never packed.
+/// A difference between the search, whose states are packed, and a cell whose states are never packed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Disagreement {
     /// What differs between the two, in words.
@@ -92,16 +93,16 @@ impl fmt::Display for Disagreement {
 /// How much to compare.
 #[derive(Clone, Copy, Debug)]
 pub struct Effort {
-    /// Walks for each search.
+    /// The number of random walks for each search.
     pub walks: u32,
-    /// The most moves of one walk.
+    /// The greatest number of moves of one random walk.
     pub length: u32,
-    /// When actions end and packets arrive.
+    /// When actions may end and packets may arrive.
     pub times: Times,
 }
 
-/// Searches a cell, and compares the result with random walks through the cell that is never packed. `draw` returns a number
-/// below its argument.
+/// Searches a cell, and compares the result with random walks through the cell, whose states are never packed. `draw`
+/// returns a number below its argument.
 ///
 /// # Errors
 /// [`Disagreement`]: the first difference.
@@ -132,13 +133,14 @@ pub fn compare_with_walks(
     Ok(agreement)
 }
 
-/// What the searches of all parts found and reached.
+/// What the searches of all parts of a cell found and reached.
 struct Apart {
     hits: Vec<Shown>,
     reached: Reached,
 }
 
-/// Searches the parts of a cell. `None` if there is only one, if parts cannot stand for the whole, or if a search was incomplete.
+/// Searches the parts of a cell. Returns `None` if there is only one part, if the parts cannot stand for the whole cell, or
+/// if a search was incomplete.
 fn search_apart(
     plan: &Arc<CellPlan>,
     phase: Phase,
@@ -168,7 +170,7 @@ fn search_apart(
     Ok(apart)
 }
 
-/// Replays the path of a finding without packing: it must end in the same finding.
+/// Replays the path of a finding without packing states. The path must end in the same finding.
 fn shows(
     plan: &Arc<CellPlan>,
     phase: Phase,
@@ -194,17 +196,17 @@ fn shows(
     Err(Disagreement { what, moves: finding.moves.clone() })
 }
 
-/// A walk, and its twin, which is packed and loaded before each move.
+/// A random walk, and its twin, whose state is packed and loaded before each move.
 struct Walk<'a> {
     own: Unpacked,
     twin: Unpacked,
     kept: &'a Kept,
     apart: Option<&'a Apart>,
     moves: Vec<CellMove>,
-    /// Whether a restarted node is farther behind the others' rounds than packed states can say. Then the walk and the
-    /// packed form behave alike, but with different round numbers.
+    /// Whether a restarted node is farther behind the rounds of the others than packed states can say. Then the walk and
+    /// its twin behave alike, but with different round numbers.
     far: bool,
-    /// Kept states cover its states in a way that a lookup cannot find.
+    /// Whether kept states may cover the walk's states in a way that a look-up cannot find.
     unlisted: bool,
 }
 
@@ -271,7 +273,7 @@ impl<'a> Walk<'a> {
         self.end()
     }
 
-    /// Judges the last move of the walk and of its packed twin; returns whether the walk goes on.
+    /// Judges the last move of the walk and of its twin. Returns whether the walk goes on.
     fn looked_at(&mut self) -> Result<bool, Disagreement> {
         let (shown, others) = (self.own.shown(), self.twin.shown());
         if shown.len() != others.len() || shown.iter().zip(&others).any(|(a, b)| !a.is_same(b)) {
@@ -290,7 +292,7 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// The search must have reached every operation that the walk reached.
+    /// Ends the walk: the search must have reached every operation that the walk reached.
     fn end(self) -> Result<(), Disagreement> {
         let whole = self.kept.complete.then_some(&self.kept.reached);
         for searched in whole.into_iter().chain(self.apart.map(|apart| &apart.reached)) {
@@ -309,7 +311,7 @@ impl<'a> Walk<'a> {
     }
 }
 
-/// What the scripts did, without the numbers of messages and rounds, which differ in a packed state.
+/// What the scripts did in the last move, without the numbers of messages and rounds, which differ in a packed state.
 fn turns(run_state: &RunState) -> Vec<String> {
     let all = run_state.cell.turns.iter().flatten();
     let told = |turn: &ScriptReaction| {

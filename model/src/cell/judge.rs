@@ -28,26 +28,26 @@ pub(super) struct Shown {
 }
 
 impl Shown {
-    /// A finding that belongs to no single task.
+    /// A finding about the whole cell, which belongs to no single task.
     pub fn whole(kind: Kind, cause: &str) -> Self {
         let (cause, others) = (cause.into(), Vec::new());
         Self { kind, task: None, address: None, check: None, cause, last: true, couple: None, others }
     }
 
-    /// As told while the search goes on.
+    /// The finding as it is told while the search goes on.
     pub fn so_far(&self) -> FoundSoFar<'_> {
         let place = self.task.zip(self.address).map(|(task, at)| (TaskId::from_index(task), at));
         FoundSoFar { kind: self.kind, cause: &self.cause, place }
     }
 
-    /// Whether both are the same finding, whatever moves lead to them.
+    /// Whether both findings are the same, whatever moves lead to them.
     pub fn is_same(&self, other: &Self) -> bool {
         let key = |shown: &Self| (shown.kind, shown.task, shown.address, shown.check, shown.couple);
         key(self) == key(other) && (self.kind != Kind::Machine || self.cause == other.cause)
     }
 }
 
-/// The coverage of a search or of a run.
+/// What a search or a random run has reached.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Reached {
     /// For each task, which of its operations were reached.
@@ -57,7 +57,7 @@ pub(super) struct Reached {
 }
 
 impl Reached {
-    /// Joins two coverages.
+    /// Joins what two searches have reached.
     pub fn join(mut self, other: Self) -> Self {
         for (all, one) in self.statements.iter_mut().flatten().zip(other.statements.into_iter().flatten()) {
             *all |= one;
@@ -96,7 +96,7 @@ pub(super) fn program(run_state: &RunState, task: usize) -> Option<&Program> {
     }
 }
 
-/// Judges the present state, and what the scripts did since the last call. A panic becomes a violation.
+/// Judges the present state, and what the scripts did since the last call. A panic becomes a violation of the state.
 pub(super) fn judge(run_state: &mut RunState, phase: Phase, reached: &mut Reached) -> Vec<Shown> {
     let judged = catch_unwind(AssertUnwindSafe(|| judge_turns(run_state, phase, reached)));
     judged.unwrap_or_else(|_| vec![Shown::whole(Kind::Machine, Violation::Panic.text())])
@@ -129,7 +129,7 @@ fn judge_turns(run_state: &mut RunState, phase: Phase, reached: &mut Reached) ->
     shown
 }
 
-/// The first couple of which both tasks act.
+/// The finding that both tasks of a couple act, for the first such couple.
 fn two_owners(run_state: &RunState) -> Option<Shown> {
     let couples = &run_state.plan.table.cell().couples;
     let at =
@@ -140,7 +140,7 @@ fn two_owners(run_state: &RunState) -> Option<Shown> {
     Some(Shown { couple: Some(at), others: both.into(), ..Shown::whole(Kind::TwoOwners, &cause) })
 }
 
-/// A request that ended badly in a search without faults.
+/// The finding of a request that ended badly in a search without faults.
 fn outcome(run_state: &RunState, turn: &ScriptReaction, phase: Phase) -> Option<Shown> {
     let ScriptInput::Signal(signal) = turn.input else { return None };
     if phase == Phase::Faults {
@@ -158,7 +158,7 @@ fn outcome(run_state: &RunState, turn: &ScriptReaction, phase: Phase) -> Option<
         Signal::Answers { answers, .. } if answers.answered != answers.asked => {
             (Kind::TimeOut, format!("{name}: {what} ends without all answers"))
         }
-        // A `receive` with a time and a branch only polls. Without a branch the task ends here, and that is a finding.
+        // A `receive` with a time_out and a branch only polls. Without a branch the task ends here, and that is a finding.
         Signal::Nothing if !(matches!(turn.end, Some(End::Aborted(_))) && turn.passed.is_empty()) => {
             return None;
         }
@@ -188,7 +188,7 @@ fn outcome(run_state: &RunState, turn: &ScriptReaction, phase: Phase) -> Option<
     Some(Shown { task, address, others, last: false, ..Shown::whole(kind, &cause) })
 }
 
-/// A script that ended before its last statement.
+/// The finding of a script that ended before its last statement.
 fn end(run_state: &RunState, turn: &ScriptReaction, phase: Phase) -> Option<Shown> {
     let table = &run_state.plan.table;
     let program = program(run_state, turn.task)?;
@@ -206,7 +206,7 @@ fn end(run_state: &RunState, turn: &ScriptReaction, phase: Phase) -> Option<Show
             // If the script waited at `Op::Statement` for handlers, the statement had begun before this step.
             let begun = program.code.get(usize::from(turn.at)) == Some(&Op::Statement);
             match turn.passed.last().copied().or_else(|| begun.then_some(turn.at)) {
-                // A bad end without a branch reaches no other statement of the task.
+                // The script ended without beginning another statement: a bad outcome had no branch.
                 None => (Kind::Ends, turn.at, format!("{name} ends: {why}")),
                 Some(at) if fault_free => (Kind::Aborts, at, format!("{name} aborts: {why}")),
                 Some(_) => return None,
@@ -253,7 +253,7 @@ pub(super) fn statement(table: &CellTable, program: &Program, at: Address) -> St
     }
 }
 
-/// The tasks that should have answered a request that ended badly, or have sent what it waited for.
+/// The tasks that should have answered a request that ended badly, or should have sent the message for which it waited.
 fn partners(run_state: &RunState, task: usize, at: Address) -> Vec<usize> {
     let peers = |port| {
         let table = &run_state.plan.table;

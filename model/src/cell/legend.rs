@@ -3,7 +3,7 @@
 use imrs_protocol::script::{Address, Format, Program, Trigger, Type};
 use imrs_protocol::{CONTENTS_BYTES, Kind, Packet, PortId};
 
-/// Lines and formats of a cell's text. Without them charts show neither lines nor values.
+/// Lines and formats of a cell's text. If they are empty, charts show neither lines nor values.
 #[derive(Clone, Debug, Default)]
 pub struct Legend {
     /// For each task and operation of its program, the line of the statement, from 1.
@@ -15,8 +15,8 @@ pub struct Legend {
 }
 
 impl Legend {
-    /// The values in a packet: `(3, true)`. Of a message in several packets, only the values that fit into the
-    /// first packet.
+    /// The values in a packet, as text: `(3, true)`. Of a message in several packets, only the values in the first packet
+    /// are shown.
     pub(super) fn of_packet(&self, packet: &Packet) -> Option<String> {
         let arguments;
         let (bytes, is_answer) = match packet.kind {

@@ -6,12 +6,12 @@ use imrs_protocol::script::{Op, Outcomes, Program, Trigger};
 /// The statements of a task that no search reached.
 #[derive(Default)]
 pub(super) struct Missed {
-    /// The number of statements reached, and of all statements.
+    /// The number of statements that were reached, and the number of all statements.
     pub counts: (u32, u32),
-    /// The unreached statements: the operation, and whether it needs a fault.
+    /// The unreached statements: for each, its operation, and whether reaching it needs a fault.
     pub statements: Vec<(usize, bool)>,
-    /// Whether an unreached statement that needs a fault may affect others: the task goes on with values that it has on no other
-    /// path, or sends something.
+    /// Whether an unreached statement that needs a fault may affect other statements: after it the task may go on with
+    /// values that it has on no other path, or send something.
     pub leads_on: bool,
 }
 
@@ -24,8 +24,8 @@ impl Missed {
         let statements: Vec<_> = all.iter().filter(|&&at| !reached(at)).map(|&at| (at, !plain[at])).collect();
         let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
         let counts = (count(all.len() - statements.len()), count(all.len()));
-        // The operations that may follow statements which need a fault, on each path up to the first
-        // operation that needs none.
+        // The operations that may follow statements which need a fault, on each path up to the first operation that needs
+        // no fault.
         let need_fault = statements.iter().filter(|(_, needs_fault)| *needs_fault).map(|&(at, _)| at);
         let code = &program.code;
         let behind =
@@ -35,7 +35,7 @@ impl Missed {
     }
 }
 
-/// Whether other tasks, or the activation that a handler has interrupted, may notice an operation.
+/// Whether other tasks, or the activation that a handler has interrupted, can notice the effect of an operation.
 fn is_heard(op: &Op) -> bool {
     matches!(
         op,
@@ -54,15 +54,15 @@ fn needs_no_fault(program: &Program) -> Vec<bool> {
     let messages = program.handlers.iter().filter(|handler| matches!(handler.trigger, Trigger::Message(_)));
     let entries = messages.map(|handler| usize::from(handler.entry)).chain([0]);
     reached_from(&program.code, entries, |at| match program.code[at] {
-        // A branch that takes only bad outcomes needs a fault. All other branches do not, because a message
-        // may come or not.
+        // A branch that is taken only for bad outcomes needs a fault. All other branches need none, because a message may
+        // come or not.
         Op::On { outcomes, .. } if outcomes.0 & !Outcomes::BAD.0 == 0 => [None, Some(at + 1)],
         op => next(&op, at),
     })
 }
 
-/// For each operation, whether control flow reaches it from one of the `entries`. `goes` gives the operations that
-/// may follow an operation.
+/// For each operation, whether control flow reaches it from one of the `entries`. `goes` returns the operations that may
+/// follow an operation.
 pub(super) fn reached_from(
     code: &[Op],
     entries: impl IntoIterator<Item = usize>,

@@ -11,28 +11,31 @@
 //! What the search covers:
 //! - A packet takes its link's bound, in the order sent. Within the budgets it may be lost, duplicated or cut off, or arrive
 //!   right before a packet that was sent earlier.
-//! - An action ends at its least or most time. Each end gives each of the values worth trying, or fails within the budget.
-//! - That is [`Times::Ends`]. The finer [`Times`] also let actions end and packets arrive right after any other event of the
-//!   cell, or at every tick.
+//! - An action ends at its least or most time. An action that ends gives each of the results worth trying, or fails within
+//!   the budget.
+//! - These times are [`Times::Ends`]. The finer [`Times`] also let actions end and packets arrive right after any other
+//!   event of the cell, or at every tick.
 //! - Two nodes cannot reach each other within a tick, so nodes act one after the other. Checks are evaluated after every step.
 //!   A check that reads several nodes must hold in any order of these nodes (D161).
 //! - On one node the search tries every order of what its tasks do, of arrivals and of ends of actions. Each task notices the
 //!   time first, so its time_out comes before a packet of the same tick (D170).
-//! - A node named for a crash crashes at the end of any tick in which it took a step. It restarts in its next incarnation at
-//!   once, when a packet arrives for it, or when nothing else happens any more; or it stays down. With [`CellPlan::everything`]
-//!   both happen at every other event, too.
-//! - A link named for a cut loses every packet in both directions, from any packet on until any later one.
-//! - A node named for a pause pauses before any of its steps. It wakes after any later event, at its own next deadline or end
-//!   of lease, or when the pause reaches its bound (`run_state::pause`).
+//! - A node named for a crash crashes at the end of any tick in which it took a step. The node restarts in its next
+//!   incarnation at once, when a packet arrives for it, or when nothing else happens any more; or it stays down. With
+//!   [`CellPlan::everything`], crash and restart happen at every other event, too.
+//! - A link named for a cut loses every packet in both directions, from any packet on until any later packet.
+//! - A node named for a pause pauses before any of its steps. The node wakes after any later event, at its own next
+//!   deadline or end of lease, or when the pause reaches its bound (`run_state::pause`).
 //! - The script of a restarted node begins once no message of its earlier incarnation is in flight, as on real nodes (D157).
 //! - A task outside the cell chooses one use of its ports, or none, once in its period. Its messages carry one of a few values:
 //!   zero, one, constants of the other tasks and their neighbours ([`Tried`]).
 //!
 //! Tasks that share no port, node, link, couple or check are in independent parts (`parts`), and each part is searched by
-//! itself. So for [`Times::Between`], and for a restart "when nothing else happens", only events of the same part count.
+//! itself. Therefore, for [`Times::Between`], and for a restart "when nothing else happens", only events of the same part
+//! count.
 //!
 //! A request that ends by its time_out without a fault is starvation if it was rejected or bypassed more often than aging
-//! allows. A livelock of all tasks is a warning (`standstill`); that of one task beside others that progress is not detected.
+//! allows. A livelock of all tasks is a warning (`standstill`); a livelock of one task, while others progress, is not
+//! detected.
 
 mod alike;
 mod conclude;

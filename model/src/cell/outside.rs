@@ -8,7 +8,7 @@ use imrs_protocol::script::{
 use imrs_protocol::{Class, PortId, Rate, Target, TaskId, Ticks, Usage};
 use std::sync::Arc;
 
-/// The plan with a program for each task whose body is outside the cell.
+/// The plan, with a program added for each task whose body is outside the cell.
 pub(super) fn with_programs(plan: &Arc<CellPlan>) -> Arc<CellPlan> {
     if !plan.has_extern() {
         return Arc::clone(plan);
@@ -26,8 +26,8 @@ pub(super) fn with_programs(plan: &Arc<CellPlan>) -> Arc<CellPlan> {
 
 /// A program that again and again chooses one use of its ports, or none.
 ///
-/// A task of a work couple does so with and without its lease. After a take-over it starts over. When it loses its lease, it
-/// gives up its present use and does nothing until the lease comes back.
+/// A task of a work couple uses its ports with and without its lease. After a take-over it starts over. When it loses its
+/// lease, it gives up its present use and does nothing until the lease comes back.
 fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>, values: &Tried) -> Program {
     let table = &plan.table;
     let pause = Ticks(rate.map_or(1, |rate| rate.per.0.div_ceil(u64::from(rate.count).max(1))).max(1));
@@ -50,7 +50,7 @@ fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>, values: &Tried) ->
             for number in 0..values.len() {
                 let value = |of: Type| values.value(of, number);
                 let Some(once) = once(plan, task, (port, to), &value, pause, &mut program) else { break };
-                // Uses of a port whose messages have no fields are equal for all values, and are added once.
+                // If the messages of a port have no fields, its uses are equal for all values, and are added once.
                 if !uses.contains(&once) {
                     uses.push(once);
                 }
@@ -63,7 +63,7 @@ fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>, values: &Tried) ->
     for (number, body) in (0_i64..).zip(uses) {
         let load = Op::Term(Term::Load(Slot::Task(0)));
         program.code.extend([load, Op::Term(Term::Push(number)), Op::Term(Term::Int(Binary::Equal))]);
-        // The branch skips two operations that reset the choice, the body, and the jump back.
+        // The branch skips four things: itself, the two operations that reset the choice, the body, and the jump back.
         let beyond = address(program.code.len() + 1 + 2 + body.len() + 1);
         program.code.push(Op::Unless(beyond));
         forget(&mut program.code);
@@ -80,7 +80,7 @@ fn address(at: usize) -> Address {
     Address::try_from(at).unwrap_or(Address::MAX)
 }
 
-/// Relocates the jumps of a body, which are relative to its start.
+/// Relocates a jump of a body, whose target is relative to the start of the body.
 const fn moved(op: Op, start: Address) -> Op {
     match op {
         Op::On { outcomes, to } => Op::On { outcomes, to: to.saturating_add(start) },
@@ -105,7 +105,7 @@ pub(super) fn tried(plan: &CellPlan) -> Tried {
     if fields.is_empty() { Tried::default() } else { Tried::of(plan, fields.contains(&Type::Real)) }
 }
 
-/// The possible receivers of a message: all peers of the port, or each of them alone.
+/// The possible receivers of a message: all peers of the port together, or each of them alone.
 fn targets(plan: &CellPlan, task: TaskId, port: PortId) -> Vec<Target> {
     let peers: Vec<TaskId> = plan.table.port(port).map_or_else(Vec::new, |port| port.peers(task).collect());
     let alone = peers.iter().filter(|_| peers.len() > 1).map(|&peer| Target::One(peer));
@@ -194,7 +194,7 @@ fn message(plan: &CellPlan, port: PortId) -> Format {
 /// The format of a port's answers, as some program reads them.
 fn answer(plan: &CellPlan, port: PortId) -> Format {
     let find = |program: &Program| {
-        // Not every statement that sends reads the answer.
+        // Some statements that send do not read the answer, so all of them are examined.
         let mut asked = positions(program, |op| matches!(op, Op::Send { port: at, .. } if *at == port));
         let read = asked.find_map(|asked| next(program, asked, unpacked))?;
         program.formats.get(usize::from(read)).cloned()
@@ -214,7 +214,7 @@ const fn unpacked(op: &Op) -> Option<u16> {
     }
 }
 
-/// The first value that `is` returns for an operation behind `from`, before the next request.
+/// The first value that `is` returns for an operation after `from`, before the next request.
 fn next(program: &Program, from: usize, is: impl Fn(&Op) -> Option<u16>) -> Option<u16> {
     let after = program.code.iter().skip(from + 1);
     after.take_while(|op| !matches!(op, Op::Send { .. } | Op::Get { .. } | Op::Run { .. })).find_map(is)

@@ -1,11 +1,12 @@
-//! Splits a cell into independent parts. Each is searched by itself, because no part notices what happens in another one (D138).
+//! Splits a cell into independent parts. Each part is searched by itself, because no part notices what happens in another
+//! part (D138).
 //!
 //! Two tasks are in one part if they share a node, port, couple or check, or if one node may pass packets of both. So a part
 //! consists of whole nodes, and a node that relays for two ports joins their tasks. Every run of the cell, restricted to a part,
 //! is a run of that part within the same fault budgets; and every run of a part is a run of the cell.
 //!
-//! A part keeps the numbers, tables and plans of the whole cell. Nodes outside it stay down and are not packed. So the same moves
-//! replay a finding, if the same part is given.
+//! A part keeps the numbers, tables and plans of the whole cell. Nodes outside the part stay down and are not packed. So
+//! the same moves replay a finding if they are applied to the same part.
 
 use super::plan::{CellPlan, Part, about, node_of};
 use super::run_state::bit;
@@ -62,7 +63,8 @@ pub(super) fn parts(plan: &CellPlan) -> Vec<Part> {
     roots.iter().enumerate().map(part).collect()
 }
 
-/// Disjoint sets of nodes (union-find): each node points to one with a lower number, the root of a set to itself.
+/// Disjoint sets of nodes (union-find): each node points to a node with a lower number, and the root of a set points to
+/// itself.
 struct Sets(Vec<usize>);
 
 impl Sets {
@@ -78,7 +80,7 @@ impl Sets {
         self.0[a.max(b)] = a.min(b);
     }
 
-    /// Joins all nodes on the route of a packet.
+    /// Joins the sets of all nodes on the route of a packet.
     fn join_route(&mut self, table: &CellTable, from: usize, to: usize) {
         let mut at = from;
         while at != to {

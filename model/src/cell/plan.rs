@@ -11,29 +11,29 @@ use std::sync::Arc;
 pub enum Conduct {
     /// The task runs a program.
     Program {
-        /// The program, its durations in ticks.
+        /// The program, whose durations are in ticks.
         program: Arc<Program>,
-        /// For each of its actions, the results worth trying; 0 if there are none.
+        /// For each action of the program, the results worth trying. An action without such results gives 0.
         values: Vec<Vec<i32>>,
-        /// Whether results of its actions that are not tried may lead to other statements.
+        /// Whether other results of the program's actions, which are not tried, may lead to other statements.
         open: bool,
     },
-    /// The body of the task is outside the cell: it makes any legal use of its ports, at most at this rate.
+    /// The body of the task is outside the cell: the task makes any legal use of its ports, at most at this rate.
     Extern(Option<Rate>),
 }
 
 /// A hypothesis of faults: the most faults of each kind.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CellFaults {
-    /// Lost packets.
+    /// The number of packets that are lost.
     pub loss: u8,
-    /// Packets that arrive twice.
+    /// The number of packets that arrive twice.
     pub dup: u8,
-    /// Packets that overtake one that was sent earlier on their link.
+    /// The number of packets that overtake a packet that was sent earlier on their link.
     pub reorder: u8,
-    /// Actions that fail.
+    /// The number of actions that fail.
     pub fail: u8,
-    /// Ticks that the clock of some node leaves out or counts twice.
+    /// The number of ticks that the clock of some node leaves out or counts twice.
     pub drift: u8,
     /// Nodes that crash, one entry for each crash.
     pub crash: Vec<NodeId>,
@@ -46,15 +46,16 @@ pub struct CellFaults {
 /// A pause of a node, which takes no step for a while, as when its process is stopped (SIGSTOP) or not scheduled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pause {
-    /// The node; `None`: any node.
+    /// The node that pauses; `None` stands for any node.
     pub node: Option<NodeId>,
-    /// The most ticks that it lasts, counted from the first step that the node misses.
+    /// The greatest length of the pause in ticks, counted from the first step that the node misses.
     pub most: u32,
 }
 
 impl Pause {
-    /// A pause of this node, or of any node, of at most `most` ticks. `None`: one tick longer than the longest time_out
-    /// or take-over of the cell: every wait for the node that is open when the pause begins is then over before it ends.
+    /// A pause of this node, or of any node, of at most `most` ticks. `None`: one tick longer than the longest time_out or
+    /// take-over of the cell: then every wait for the node that is open when the pause begins is over before the pause
+    /// ends.
     #[must_use]
     pub fn new(table: &CellTable, node: Option<NodeId>, most: Option<Ticks>) -> Self {
         let parties = table.ports().iter().flat_map(|port| &port.parties);
@@ -65,14 +66,15 @@ impl Pause {
         Self { node, most: u32::try_from(most).unwrap_or(u32::MAX - 1) }
     }
 
-    /// Whether this node may pause in this way.
+    /// Whether this pause may happen to this node.
     pub(super) fn is_of(&self, node: usize) -> bool {
         self.node.is_none_or(|of| of.index() == node)
     }
 }
 
 impl CellFaults {
-    /// Whether independent parts may be searched one by one: not with drift or pauses, which lie between events of the cell.
+    /// Whether independent parts may be searched one by one: not if clocks may drift or nodes may pause, because drifts and
+    /// pauses happen between events of the whole cell.
     pub(super) const fn may_be_apart(&self) -> bool {
         self.drift == 0 && self.pause.is_empty()
     }
@@ -108,11 +110,11 @@ pub enum Holds {
     Always(Vec<Term>),
     /// Whenever `when` is true, `then` becomes true, at once or within the bound.
     Leads {
-        /// The left side.
+        /// The left side of the check.
         when: Vec<Term>,
-        /// The right side.
+        /// The right side of the check.
         then: Vec<Term>,
-        /// The bound.
+        /// The longest time from the left side to the right side.
         within: Ticks,
     },
 }
@@ -129,11 +131,11 @@ pub struct CellCheck {
 /// Limits of the search, for each phase and each independent part. [`Coverage`](super::Coverage) tells which limit ended it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Budget {
-    /// States kept.
+    /// The greatest number of states that are kept.
     pub states: u64,
-    /// Seconds.
+    /// The longest time in seconds.
     pub seconds: f64,
-    /// Resident memory of the whole process, in bytes.
+    /// The greatest resident memory of the whole process, in bytes.
     pub bytes: u64,
 }
 
@@ -143,28 +145,31 @@ impl Default for Budget {
     }
 }
 
-/// The times at which actions end, from their least to their most time, and packets arrive, from one tick to their link's bound.
+/// The times that a search tries for the ends of actions, from their least to their most time, and for the arrivals of
+/// packets, from one tick to their link's bound.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Times {
-    /// [`Every`](Self::Every) if that takes at most [`AUTO_STATES`](Self::AUTO_STATES) states, with faults
-    /// [`AUTO_STATES_WITH_FAULTS`](Self::AUTO_STATES_WITH_FAULTS), and a quarter of the time; else [`Between`](Self::Between)
-    /// within the same limits; else [`Ends`](Self::Ends).
+    /// The finest of three choices within limits: [`Every`](Self::Every), if that takes at most
+    /// [`AUTO_STATES`](Self::AUTO_STATES) states, with faults [`AUTO_STATES_WITH_FAULTS`](Self::AUTO_STATES_WITH_FAULTS),
+    /// and a quarter of the time; else [`Between`](Self::Between) within the same limits; else [`Ends`](Self::Ends).
     #[default]
     Auto,
-    /// Actions at their least or most time, packets at their bound.
+    /// Actions end at their least or most time, packets arrive at their bound.
     Ends,
-    /// At both ends, or right after any event between them in the same independent part of the cell.
+    /// Actions and packets also end or arrive right after any event, between these times, in the same independent part of
+    /// the cell.
     Between,
-    /// At every tick between the ends, or at every tick that [`CellPlan::step`] leaves.
+    /// Actions and packets end or arrive at every tick between these times, or at every tick that [`CellPlan::step`]
+    /// leaves.
     Every,
-    /// At every tick, too, but searched by zones: sets of times at which the same happens.
+    /// As with `Every`, but the search uses zones: sets of times at which the same happens.
     Zones,
 }
 
 impl Times {
-    /// The most states that finer times may take without faults before coarser ones are tried.
+    /// The most states that finer times may take without faults before the search tries coarser times.
     pub const AUTO_STATES: u64 = 30_000;
-    /// The most states that finer times may take with faults, before coarser ones are tried.
+    /// The most states that finer times may take with faults, before the search tries coarser times.
     pub const AUTO_STATES_WITH_FAULTS: u64 = 8_000;
 }
 
@@ -176,7 +181,7 @@ const MOST_ZONES: usize = 16;
 /// A cell to check.
 #[derive(Clone, Debug)]
 pub struct CellPlan {
-    /// The declarations, with durations in ticks.
+    /// The cell's table, with durations in ticks.
     pub table: Arc<CellTable>,
     /// What each task does, by position.
     pub tasks: Vec<Conduct>,
@@ -184,16 +189,17 @@ pub struct CellPlan {
     pub faults: Vec<CellFaults>,
     /// The checks.
     pub checks: Vec<CellCheck>,
-    /// Limits of the search.
+    /// The limits of each search.
     pub budget: Budget,
     /// When actions may end and packets may arrive.
     pub times: Times,
-    /// The distance of the ticks that [`Times::Every`] tries, counted back from the most time.
+    /// The distance between the ticks that [`Times::Every`] tries, counted back from the most time.
     pub step: u32,
-    /// Switches off all reductions, to check that they change no finding. The search then also covers faults that no task sees,
-    /// covered states, dead variables, crashes, restarts and pauses at every event, and all independent parts together.
+    /// Switches off all reductions, to check that they change no finding. The search then also tries faults that no task
+    /// notices, keeps covered states and dead variables, tries crashes, restarts and pauses at every event, and searches
+    /// all independent parts together.
     pub everything: bool,
-    /// Packets that a node's transit buffer holds.
+    /// How many packets a node's transit buffer holds.
     pub transit: u16,
     /// States after which a search by zones begins again with hulls: from then on it keeps at most [`most_zones`](Self::most_zones)
     /// zones of one control apart.
@@ -203,16 +209,16 @@ pub struct CellPlan {
     pub most_zones: usize,
     /// Threads that search.
     pub jobs: usize,
-    /// What charts show of the cell's text. It changes no verdict.
+    /// What charts show of the cell's text. The verdict does not depend on it.
     pub legend: Legend,
-    /// Tasks whose bodies are outside the cell, and which have got programs that try any use of their ports.
+    /// The tasks whose bodies are outside the cell. They have got programs that try any use of their ports.
     pub(super) outside: Vec<usize>,
-    /// The part that is searched; `None`: the whole cell.
+    /// The independent part that is searched; `None` stands for the whole cell.
     pub(super) part: Option<Part>,
 }
 
 impl CellPlan {
-    /// A cell without faults and checks.
+    /// A plan for a cell without faults and checks.
     #[must_use]
     pub fn new(table: Arc<CellTable>, tasks: Vec<Conduct>) -> Self {
         Self {
@@ -249,7 +255,7 @@ impl CellPlan {
         self.tasks.iter().any(takes)
     }
 
-    /// Whether actions may give results that are not tried.
+    /// Whether actions may give results that the search does not try.
     #[must_use]
     pub fn has_open_results(&self) -> bool {
         self.tasks.iter().any(|task| matches!(task, Conduct::Program { open: true, .. }))
@@ -280,7 +286,7 @@ impl CellPlan {
         self.part.as_ref().is_none_or(|part| part.has_check(check))
     }
 
-    /// The terms that a check reads, of a `leads` check those of both sides.
+    /// The terms that a check reads; for a `leads` check, the terms of both sides.
     pub(super) fn terms(&self, check: usize) -> Vec<Term> {
         let looks = |term: &Term| matches!(term, Term::Of { .. } | Term::Is(_));
         let mut all: Vec<Term> = Vec::new();
@@ -312,7 +318,7 @@ pub(super) fn about(term: &Term) -> Option<usize> {
     }
 }
 
-/// An independent part of a cell: nodes that no packet and no check connects with the others.
+/// An independent part of a cell: nodes that no packet and no check connects with the other nodes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Part {
     /// The part's position among the parts of the cell.
@@ -331,7 +337,7 @@ impl Part {
         self.checks.get(check).copied().unwrap_or(false)
     }
 
-    /// The nodes outside it, as a bit set.
+    /// The nodes outside of the part, as a bit set.
     pub const fn left_out(&self) -> u64 {
         !self.nodes
     }

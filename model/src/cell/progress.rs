@@ -1,4 +1,4 @@
-//! What a search of a cell tells while it runs.
+//! What a search of a cell reports while it runs.
 
 use super::plan::Times;
 use super::verdict::{Coverage, Kind, Phase};
@@ -6,18 +6,18 @@ use crate::Silent;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::Address;
 
-/// Follows the searches of a cell. All methods are called by the thread that called
+/// Receives the reports of the searches of a cell. All methods are called by the thread that called
 /// [`check_cell_and_tell`](super::check_cell_and_tell).
 pub trait SearchProgress {
     /// A search begins. A phase has several of them if its parts are searched one by one, or if finer times took too long.
     fn started(&self, phase: (Phase, usize), times: Times) {
         let _ = (phase, times);
     }
-    /// The search goes on.
+    /// Called now and then while the search goes on.
     fn states(&self, so_far: &SoFar) {
         let _ = so_far;
     }
-    /// Something was found. A look at its path, after the search, may give it another name.
+    /// The search has found something. After the search its path is examined, which may give the finding another kind.
     fn found(&self, found: &FoundSoFar<'_>) {
         let _ = found;
     }
@@ -34,20 +34,20 @@ impl SearchProgress for Silent {}
 pub struct SoFar {
     /// The states that were kept.
     pub states: u64,
-    /// How many of them are still to be expanded.
+    /// How many of the kept states are still to be expanded.
     pub open: u64,
     /// The seconds since the search began.
     pub seconds: f64,
-    /// The seconds that it may take.
+    /// The seconds that the search may take at most.
     pub at_most_seconds: f64,
 }
 
-/// A finding of a search that goes on.
+/// A finding of a search that still runs.
 #[derive(Clone, Copy, Debug)]
 pub struct FoundSoFar<'a> {
-    /// Its kind.
+    /// The kind of the finding.
     pub kind: Kind,
-    /// One line in the cell's words.
+    /// The cause of the finding: one line, in the cell's words.
     pub cause: &'a str,
     /// The task and the operation of its program, if the finding has them.
     pub place: Option<(TaskId, Address)>,

@@ -1,4 +1,5 @@
-//! Finds the line of the cell's text that each step of a path belongs to, and the values that its messages carry.
+//! Finds, for each step of a path, the line of the cell's text to which the step belongs, and the values that its messages
+//! carry.
 
 use super::judge::{position, program};
 use super::run_state::RunState;
@@ -10,7 +11,7 @@ use imrs_protocol::{
 };
 use std::collections::BTreeMap;
 
-/// A message or a round: the task that sent or reached it, the port, its number.
+/// Names a message or a round: the task that sent the message or reached the round, the port, and the number.
 type Named = (usize, PortId, u32);
 
 /// Finds the line and the values of everything that a step shows.
@@ -21,7 +22,7 @@ pub(super) struct Reader {
     step: StepAt,
 }
 
-/// What the reader knows of one step.
+/// What the reader knows of one step of the path.
 #[derive(Default)]
 struct StepAt {
     /// The operation of each task before the step.
@@ -32,7 +33,7 @@ struct StepAt {
     outcome: Vec<Option<Address>>,
     /// The contents of the messages that tasks took.
     taken: BTreeMap<Named, Contents>,
-    /// The packet whose values are drawn.
+    /// The packet whose values the chart shows in this step.
     drawn: Option<Packet>,
 }
 
@@ -68,7 +69,7 @@ impl Reader {
         }
     }
 
-    /// The line at which a packet was sent.
+    /// The line of the statement that sent a packet.
     pub fn of_packet(&mut self, run_state: &RunState, packet: &Packet) -> Option<u32> {
         let (event, number) = match packet.kind {
             Kind::Send | Kind::Query => (Event::Sent, packet.id.sequence.get()),
@@ -78,8 +79,7 @@ impl Reader {
         };
         let task = packet.source.index();
         let named = (task, packet.port, number);
-        // A packet that left before the first step is in no step. Its task is still at the statement that
-        // sent it.
+        // A packet that left before the first step is in no step. Its task is still at the statement that sent the packet.
         let at = self.sent.get(&named).copied().or_else(|| {
             let begun = self.step.begun.get(task)?.first()?.0;
             let program = program(run_state, task)?;
@@ -89,7 +89,7 @@ impl Reader {
         run_state.plan.legend.line(task, at)
     }
 
-    /// The line of the action that ends in this activation.
+    /// The line of the action that this activation runs.
     pub fn of_action(&self, run_state: &RunState, task: usize, level: u8) -> Option<u32> {
         let script = &run_state.cell.bodies.get(task)?.actor.as_ref()?.host.script;
         let at = match level {
@@ -100,7 +100,7 @@ impl Reader {
         run_state.plan.legend.line(task, at)
     }
 
-    /// The line at which a script ended.
+    /// The line at which a script has ended.
     pub fn of_end(&self, run_state: &RunState, turn: &ScriptReaction) -> Option<u32> {
         let at = match turn.end? {
             End::Assertion(at) | End::Fault { at, .. } => at,
@@ -109,7 +109,7 @@ impl Reader {
         run_state.plan.legend.line(turn.task, at)
     }
 
-    /// The line of an effect, and the values that its task takes or is told.
+    /// The line to which an effect belongs, and the values that the task takes or gets with it.
     pub fn of_effect(&mut self, run_state: &RunState, effect: &Effect) -> (Option<u32>, Option<String>) {
         match effect {
             Effect::Seen(_, Some(task), seen) => self.of_observation(run_state, task.index(), seen),
@@ -143,7 +143,7 @@ impl Reader {
             | Event::WithinMargin
             | Event::GaveUp => self.sent.get(&named).copied().or(before),
             Event::Rejoined => {
-                // The task goes on with the same wait, in another round.
+                // The task goes on with the same wait in another round.
                 if let Some(at) = before {
                     self.sent.insert(named, at);
                 }
@@ -212,7 +212,7 @@ impl Reader {
         }
     }
 
-    /// The statement of this step that sends, answers or reaches what was observed.
+    /// The statement of this step that sends, answers or reaches what an observation reports.
     fn carried_out(&mut self, run_state: &RunState, task: usize, seen: &Observation) -> Option<Address> {
         let program = program(run_state, task)?;
         let peers = run_state.plan.table.port(seen.port)?.peers(TaskId::from_index(task)).count();
@@ -229,7 +229,7 @@ impl Reader {
         Some(at)
     }
 
-    /// The last statement, of this step or begun before it, that takes messages of a port.
+    /// The last statement that takes messages of a port, begun in this step or before it.
     fn taken_at(&self, run_state: &RunState, task: usize, on: PortId) -> Option<Address> {
         let program = program(run_state, task)?;
         let takes = |op: &Op| matches!(op, Op::Get { port, .. } if port.is_none_or(|port| port == on));
@@ -249,12 +249,12 @@ impl Reader {
     }
 }
 
-/// The operations of the statement that begins here.
+/// The operations of the statement that begins at an address.
 fn operations(program: &Program, at: Address) -> impl Iterator<Item = &Op> {
     program.code.iter().skip(usize::from(at) + 1).take_while(|op| **op != Op::Statement)
 }
 
-/// Whether an operation shows as this event on this port.
+/// Whether an operation causes this event on this port.
 fn does(op: &Op, event: Event, on: PortId) -> bool {
     match (event, op) {
         (Event::Sent, Op::Send { port, .. })

@@ -28,8 +28,8 @@ use progress::Before;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-/// State of a declared cut of a link. A larger one covers a smaller one: a cut that is over allows nothing, an open cut may end
-/// before the next packet, and an unused cut may begin with it.
+/// The states of a declared cut of a link. A larger number covers a smaller one: a cut that is over allows no faults, an
+/// open cut may end before the next packet, and an unused cut may begin with the next packet.
 pub(super) const UNUSED: u8 = 2;
 pub(super) const OPEN: u8 = 1;
 const OVER: u8 = 0;
@@ -42,16 +42,16 @@ pub(super) struct Beside {
     pub reorder: u8,
     pub fail: u8,
     pub drift: u8,
-    /// For each declared crash, 1 once it happened.
+    /// For each declared crash, 1 once the crash has happened.
     pub crashed: Vec<u8>,
     pub cuts: Vec<u8>,
-    /// For each declared pause, 1 until it begins.
+    /// For each declared pause, 1 until the pause begins.
     pub paused: Vec<u8>,
-    /// For each node, its pause if it is paused.
+    /// For each node, its pause, if the node is paused now.
     pub asleep: Vec<Option<Asleep>>,
-    /// For each `leads` check with an open obligation, the time left to fulfil it.
+    /// For each `leads` check with an open obligation, the time that is left to fulfil the obligation.
     pub due: Vec<Option<Ticks>>,
-    /// Actions postponed until another event, or until their most time is over: task and activation.
+    /// Actions whose end is postponed until another event, or until their most time is over: task and activation.
     pub stays: Vec<(u8, u8)>,
     /// Links, as a bit set, whose first packet is postponed until another event, or until the link's bound is over.
     pub slow: u64,
@@ -75,9 +75,9 @@ pub(super) struct RunState {
     pub times: Times,
     /// The checks that the last move broke.
     pub broken: Vec<usize>,
-    /// Ticks since the start, or since the caller set this to zero.
+    /// Ticks since the start of the path, or since the caller set this field to zero.
     pub passed: u64,
-    /// For each check, whether its left side ever held.
+    /// For each check, whether its left side was ever true.
     pub mattered: Vec<bool>,
     checks: Evaluated,
     /// The checks that read several nodes.
@@ -88,11 +88,11 @@ pub(super) struct RunState {
     pub mixed: Vec<(usize, Mixture)>,
     /// Whether both tasks of some couple act.
     pub both_active: bool,
-    /// For each task the dead variables, by operation.
+    /// For each task, its dead variables at each operation.
     dead: Vec<Dead>,
-    /// Scratch buffer for the variables before a move: those of each task, and which of them are dead.
+    /// Scratch buffer for the variables of each task before a move, and for which of them are dead.
     before: Before,
-    /// The state that was packed last. The buffer is kept, so that the next state is packed without allocating.
+    /// The bytes of the last packed state. The buffer is kept, so that the next state is packed without allocating.
     packed: Vec<u8>,
 }
 
@@ -101,7 +101,7 @@ impl RunState {
         Self::begun(plan, faults, false)
     }
 
-    /// The start of a run that is followed and never packed: rules over the history of the run are judged, too.
+    /// The first state of a run that is never packed. Rules over the history of the run are judged in it, too.
     pub fn with_history(plan: &Arc<CellPlan>, faults: &CellFaults) -> Self {
         Self::begun(plan, faults, true)
     }
@@ -174,7 +174,7 @@ impl RunState {
         self.dead.get(task).zip(actor).map_or(0, |(dead, actor)| dead.at(actor.host.script.position_at(0)))
     }
 
-    /// Resets the dead variables, so that states that differ only in these become equal.
+    /// Resets the dead variables, so that states that differ only in these variables become equal.
     pub fn bury(&mut self) {
         for task in 0..self.cell.bodies.len() {
             let mut left = self.dead_variables(task);
@@ -206,8 +206,8 @@ impl RunState {
         self.broken.clear();
         if let Some(node) = self.node_of(step) {
             self.beside.acted |= bit(node);
-            // `stir` (which ends postponements) does not run for these moves: it ran in the move that queued the input,
-            // or when the passed time made the script due.
+            // `stir` (which ends postponements) does not run for these moves. It has already run in the move that queued
+            // the input, or when the passing of time made the script due.
             if !matches!(step, CellMove::Take(..) | CellMove::Begin(_)) {
                 self.stir();
             }
@@ -216,7 +216,7 @@ impl RunState {
         if let Err(violation) = result {
             self.cell.violation = Some(violation);
         }
-        // Sort as packing does, so that packet positions are the same in a state that was never packed.
+        // Packing sorts the packets, too: so packet positions are the same in a state that was never packed.
         self.cell.in_flight.sort_by_key(|carried| carried.link);
         self.cell.sort_inputs();
         self.settle();
@@ -224,12 +224,12 @@ impl RunState {
         self.look();
     }
 
-    /// Makes a move; false if that panics.
+    /// Makes a move. Returns false if the move panics.
     pub fn survives(&mut self, step: CellMove) -> bool {
         catch_unwind(AssertUnwindSafe(|| self.apply(step))).is_ok()
     }
 
-    /// The node that takes a step in a move.
+    /// The node that takes a step in a move, if one does.
     fn node_of(&self, step: CellMove) -> Option<usize> {
         match step {
             CellMove::Deliver(i) | CellMove::Duplicate(i) | CellMove::Mend(i, _) => {
@@ -278,7 +278,7 @@ impl RunState {
                 let next = self.next_event();
                 self.fall_asleep(number, usize::from(node), Vec::new());
                 let result = self.pass(next, None);
-                // The bound counts from the tick in which the node would have noticed something.
+                // The bound of the pause counts from the tick in which the node would have noticed something.
                 let most = self.faults.pause[usize::from(number)].most;
                 self.beside.asleep[usize::from(node)].iter_mut().for_each(|asleep| asleep.left = most);
                 result
@@ -365,12 +365,12 @@ impl RunState {
         self.beside.slow &= !bit(usize::from(link));
     }
 
-    /// Whether a task of a couple is active: holds its lease or took over (D61).
+    /// Whether a task of a couple is active: it holds its lease or has taken over (D61).
     pub fn acts(&self, task: TaskId) -> bool {
         self.cell.is_active(task)
     }
 
-    /// What a task's script does; `None` without a script.
+    /// What a task's script is doing; `None` if the task has no script.
     pub fn activity(&self, task: usize) -> Option<Activity> {
         Some(self.cell.bodies[task].actor.as_ref()?.host.script.activity())
     }
@@ -389,7 +389,7 @@ impl RunState {
     }
 }
 
-/// The bit of a node or link; those past 63 share the last bit.
+/// The bit of a node or link in a bit set. Nodes and links past 63 share the last bit.
 pub(super) fn bit(node: usize) -> u64 {
     1 << node.min(63)
 }

@@ -29,7 +29,7 @@ use std::time::Instant;
 
 /// States expanded between two looks at the budget.
 const BATCH: usize = 1024;
-/// States of a batch that a thread takes at a time.
+/// The number of states of a batch that a thread takes at a time.
 const PART: usize = 32;
 
 /// A kept state that is still to be expanded, and its number.
@@ -45,14 +45,14 @@ struct Search {
     longest: usize,
     outgrown: bool,
     graph: StateGraph,
-    /// For each kept state, the fingerprint of its core: all but its remaining faults.
+    /// For each kept state, the fingerprint of its core: of all its bytes but its remaining faults.
     cores: Vec<u64>,
     sample: unfinished::Sample,
-    /// The least depth in the last batch, if a budget ended the search before all its results were merged.
+    /// The least depth in the last batch, if a budget ended the search before all results of that batch were merged.
     batch: Option<u16>,
 }
 
-/// The result of a search, and the states that it kept.
+/// The result of a search, and the states that the search kept.
 pub(super) struct Kept {
     pub seen: Seen,
     pub states: u64,
@@ -62,7 +62,7 @@ pub(super) struct Kept {
     pub reached: Reached,
 }
 
-/// Searches a phase, and also returns the states that it kept.
+/// Searches a phase. Also returns the states that the search kept.
 pub(super) fn explore_and_keep(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Kept {
     let (search, done) = search(plan, (phase, 0), faults, &Silent);
     let hits = search.hits.into_iter().map(|hit| hit.shown).collect();
@@ -70,13 +70,13 @@ pub(super) fn explore_and_keep(plan: &Arc<CellPlan>, phase: Phase, faults: &Cell
     Kept { seen: search.seen, states: coverage.states, complete: coverage.complete, hits, findings, reached }
 }
 
-/// Checks a cell: first without faults, then within each hypothesis of faults. The first search finds what goes wrong by itself.
+/// Checks a cell: first without faults, which finds what goes wrong by itself, then within each hypothesis of faults.
 #[must_use]
 pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
     check_cell_and_tell(plan, &Silent)
 }
 
-/// As [`check_cell`], and tells `progress` how far the searches are.
+/// As [`check_cell`], and also reports to `progress` how far the searches are.
 #[must_use]
 pub fn check_cell_and_tell(plan: &Arc<CellPlan>, progress: &dyn SearchProgress) -> Verdicts {
     let outside = tried(plan);
@@ -111,7 +111,7 @@ fn look(
     progress: &dyn SearchProgress,
 ) -> Done {
     let explore = |plan: &Arc<CellPlan>| search(plan, phase, faults, progress).1;
-    // Only a result that is told says what its search left, because to find that out takes time.
+    // Only a result that is reported says what its search left unexpanded, because to find that out takes time.
     let explore_and_say = |plan: &Arc<CellPlan>| {
         let (search, mut done) = search(plan, phase, faults, progress);
         done.coverage.unfinished = unfinished::of(plan, faults, &search.sample, search.queue.len());
@@ -124,7 +124,7 @@ fn look(
     if plan.times != Times::Auto {
         return explore_and_say(plan);
     }
-    // If each action and packet takes one time only, the ends are all times. Pauses change that, because they end at any time.
+    // If each action and packet can take only one time, the coarse times are all times. But a pause may end at any time.
     if plan.is_exact() && faults.pause.is_empty() {
         let mut done = explore_and_say(&timed(plan, Times::Ends));
         done.coverage.times = Times::Every;
@@ -150,7 +150,7 @@ fn look(
     explore_and_say(&timed(plan, Times::Ends)).with(tried)
 }
 
-/// What one search can hold: a bit for each node and each direction of a link, a byte for a task.
+/// Most nodes, links and tasks in one search: a bit for each node and each direction of a link, a byte for a task.
 const MOST: (usize, usize, usize) = (64, 255, 32);
 
 /// Refuses a cell that is too large, or whose programs store message numbers, which no canonical state can hold (D51).
@@ -169,7 +169,7 @@ fn refused(plan: &CellPlan) -> Option<Refused> {
     too_large(plan).or_else(|| not_by_zones(plan)).or_else(keeps)
 }
 
-/// Refuses what zones do not cover, rather than to cover less.
+/// Refuses a plan that the search by zones does not cover, rather than covering less of it.
 fn not_by_zones(plan: &CellPlan) -> Option<Refused> {
     if plan.times != Times::Zones {
         return None;
@@ -224,7 +224,7 @@ fn search(
             Err(OutOfMemory) => ended_by = Some(out_of_memory(plan)),
         }
     }
-    // Several still states are tried, because not in every cycle a task waits for others.
+    // Several still states are tried, because not every cycle has a task that waits for others.
     let mut idle = HashSet::new();
     let told = still.into_iter().take(standstill::MOST_TOLD).find_map(|at| {
         if idle.contains(&search.cores[at]) {
@@ -249,7 +249,7 @@ fn search(
         whole_depth: left.map_or(depth, u64::from),
         ticks: findings.iter().map(|finding| finding.at_ticks).max().unwrap_or(0),
         complete: ended_by.is_none(),
-        // The search does not explore what tasks in a deadlock would have done either.
+        // After a deadlock, too, the search does not explore what its tasks would have done.
         pruned: search.hits.iter().any(|hit| hit.shown.last || hit.shown.kind == Kind::Deadlock),
         ended_by,
         unfinished: None,
@@ -326,7 +326,7 @@ impl Search {
                     let what = (self.origins[place].depth, is_in_sample(self.cores[place]));
                     walker.expand(*state_at, what, state, &self.seen);
                 }
-                // Only one thread takes this part, so the place is empty.
+                // Only one thread takes this part of the batch, so the place for its result is empty.
                 let _ = done[at].set(walker.take());
             }
         };
@@ -355,7 +355,7 @@ impl Search {
         }
     }
 
-    /// The moves from the start to `origin`, including those between kept states.
+    /// The moves from the start to `origin`, including the moves between kept states.
     fn path(&self, plan: &Arc<CellPlan>, faults: &CellFaults, mut origin: Origin) -> Vec<CellMove> {
         let mut walks = Vec::new();
         while origin.parent != u32::MAX {

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use std::collections::hash_map::{DefaultHasher, Entry};
 use std::hash::{BuildHasherDefault, Hash, Hasher};
 
-/// A hasher for fingerprints, which are hashes already.
+/// A hasher that returns fingerprints unchanged, because they are hashes already.
 #[derive(Default)]
 struct Same(u64);
 
@@ -30,10 +30,11 @@ pub(super) struct Mark {
     left: Left,
 }
 
-/// On chains without a choice one state in four is kept, chosen by its hash. So a second path through such a state stops there.
+/// On a chain without a choice one state in four is kept, chosen by its hash. A second path that reaches such a state ends
+/// there.
 const POSTS: u64 = 4;
 
-/// Whether a kept state is in the sample, by its fingerprint: one in sixteen is, also of those that are kept on chains.
+/// Whether a kept state is in the sample, by its fingerprint: one state in sixteen is, also of the states kept on chains.
 pub(super) const fn is_in_sample(core: u64) -> bool {
     (core / POSTS).is_multiple_of(16)
 }
@@ -45,12 +46,12 @@ impl Mark {
         Self { core: hasher.finish(), left }
     }
 
-    /// The fingerprint of the state without its remaining faults.
+    /// The fingerprint of the state's core: the state without its remaining faults.
     pub const fn core(self) -> u64 {
         self.core
     }
 
-    /// Whether the state is kept although only one move is possible.
+    /// Whether the state is kept although only one move is possible in it.
     pub fn is_post(self) -> bool {
         self.core.is_multiple_of(POSTS)
     }
@@ -58,12 +59,12 @@ impl Mark {
 
 /// The states that were kept: for each fingerprint, the remaining faults.
 ///
-/// If two states differ only in their remaining faults, the one with more allows every move of the other: it covers that one. A
-/// covered state is not expanded.
+/// If two states differ only in their remaining faults, the state with more faults allows every move of the other one: it
+/// covers the other state. A covered state is not expanded.
 #[derive(Default)]
 pub(super) struct Seen {
     first: Map<Left>,
-    /// Further entries, none of which covers another.
+    /// Further entries with the same fingerprint, none of which covers another.
     more: Map<Vec<Left>>,
 }
 
@@ -75,7 +76,7 @@ impl Seen {
         first.covers(mark.left) || others().any(|other| other.covers(mark.left))
     }
 
-    /// Keeps a state unless a kept one covers it; returns whether it is new.
+    /// Keeps a state unless a kept state covers it. Returns whether the state is new.
     pub fn insert(&mut self, mark: Mark) -> bool {
         match self.first.entry(mark.core) {
             Entry::Vacant(place) => {

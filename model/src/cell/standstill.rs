@@ -1,9 +1,9 @@
 //! Detects a standstill (livelock): tasks go on for ever without progress. For example, two robots each hold a zone and
-//! poll for the other's, or one robot polls for a zone whose holder is dead.
+//! poll for the zone of the other, or one robot polls for a zone whose holder is dead.
 //!
-//! *Progress* is a step in which an action ends well, a rendezvous completes, or a live variable changes its value. A state is
-//! *still* if no path without faults and restarts leads from it to progress or to an end. A cycle of still states is reported
-//! if a task in it waits for others. So a camera that loops by itself is no standstill.
+//! *Progress* is a step in which an action ends well, a rendezvous completes, or a live variable changes its value. A state
+//! is *still* if no path without faults and restarts leads from it to progress or to an end. A cycle of still states is
+//! reported if a task in the cycle waits for other tasks. So a camera that loops by itself is no standstill.
 
 use super::judge::{Shown, name};
 use super::plan::{CellFaults, CellPlan};
@@ -17,30 +17,33 @@ use imrs_protocol::script::{Address, ScriptInput};
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
-/// The most states of a standstill that are explored to find what repeats in it.
+/// The greatest number of states of a standstill that are explored to find what repeats in it.
 const MOST_STATES: usize = 4096;
 
-/// How many still states the search tries at most, until one of them shows a standstill.
+/// The greatest number of still states that the search tries, until one of them shows a standstill.
 pub(super) const MOST_TOLD: usize = 64;
 
-/// The most bytes that [`StateGraph::all_still`] needs for a state: an entry in a map and on a stack, and two flags.
+/// The greatest number of bytes that [`StateGraph::all_still`] needs for a state: an entry in a map and on a stack, and two
+/// flags.
 const BYTES_OF_A_STATE: usize = 64;
 
 /// The analysis does not fit into the memory budget of the search.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct OutOfMemory;
 
-/// The graph of kept states for the livelock analysis. Its edges are walks without faults and restarts.
+/// The graph of kept states for the livelock analysis. An edge is a path from one kept state to the next, without faults
+/// and restarts.
 #[derive(Default)]
 pub(super) struct StateGraph {
-    /// Edges without progress: the number of the state, and the core fingerprint of the state that it leads to.
+    /// Edges without progress: the number of the state where the edge begins, and the core fingerprint of the state where
+    /// it ends.
     steps: Vec<(u32, u64)>,
-    /// States with a walk that makes progress or ends.
+    /// States from which an edge leads to progress or to an end.
     free: Vec<u32>,
 }
 
 impl StateGraph {
-    /// Notes a walk from a kept state to another one; `None`: to progress or to an end.
+    /// Notes an edge from one kept state to another. `None`: the edge leads to progress or to an end.
     pub fn note(&mut self, from: u32, to: Option<u64>) {
         match to {
             Some(to) => self.steps.push((from, to)),
@@ -49,17 +52,17 @@ impl StateGraph {
         }
     }
 
-    /// Adds the walks that another thread noted.
+    /// Adds the edges that another thread noted.
     pub fn take_in(&mut self, other: Self) {
         self.steps.extend(other.steps);
         self.free.extend(other.free);
     }
 
-    /// The still states: no path leads from them to progress or to an end. `cores` are the fingerprints of the kept states,
-    /// `room` is the number of bytes that the analysis may use.
+    /// The still states: no path leads from them to progress or to an end. `cores` has the fingerprints of the kept states,
+    /// and `room` is the number of bytes that the analysis may use.
     ///
     /// # Errors
-    /// [`OutOfMemory`].
+    /// [`OutOfMemory`] if the analysis needs more bytes than `room`.
     pub fn all_still(&self, cores: &[u64], room: u64) -> Result<Vec<usize>, OutOfMemory> {
         let bytes = cores.len() * BYTES_OF_A_STATE + self.steps.len() * size_of::<(u32, u32)>();
         if bytes as u64 > room {
@@ -71,7 +74,7 @@ impl StateGraph {
         for &(from, _) in &self.steps {
             leads[from as usize] = true;
         }
-        // A state without any walk free of faults is an end, too.
+        // A kept state without any edge is an end, too: every path from it needs a fault or a restart.
         let ends = (0_u32..).zip(&leads).filter(|(_, leads)| !**leads).map(|(at, _)| at);
         for at in self.free.iter().copied().chain(ends) {
             if !std::mem::replace(&mut free[at as usize], true) {
@@ -89,7 +92,7 @@ impl StateGraph {
         back.extend(self.steps.iter().filter_map(|&(from, to)| Some((*places.get(&to)?, from))));
         back.sort_unstable();
         while let Some(at) = open.pop() {
-            // States that differ only in their remaining faults have the same walks without faults.
+            // States that differ only in their remaining faults have the same edges, because these have no faults.
             let first = places.get(&cores[at as usize]).copied().unwrap_or(at);
             let begin = back.partition_point(|&(to, _)| to < first);
             for &(_, from) in back[begin..].iter().take_while(|&&(to, _)| to == first) {
@@ -102,13 +105,14 @@ impl StateGraph {
     }
 }
 
-/// Whether a move is a fault or a restart. Restarts count, because a node that crashed may stay down.
+/// Whether a move is a fault or a restart. A restart counts as a fault, because a node that crashed may stay down.
 pub(super) const fn is_outside(step: CellMove) -> bool {
     step.is_fault() || matches!(step, CellMove::Restart(_))
 }
 
-/// Explores a standstill and reports what repeats in it. `None` if no task waits for others, if some path makes progress after
-/// all, or if it has too many states. `idle` collects the core fingerprints of states from which no task waits.
+/// Explores a standstill and reports what repeats in it. Returns `None` if no task waits for others, if some path makes
+/// progress after all, or if the standstill has too many states. `idle` collects the core fingerprints of states from which
+/// no task waits.
 pub(super) fn tell(
     plan: &Arc<CellPlan>,
     (phase, hypothesis): (Phase, usize),
@@ -120,7 +124,7 @@ pub(super) fn tell(
     if !moves.iter().all(|&step| run_state.survives(step)) {
         return None;
     }
-    // The steps of scripts before the standstill are dropped, because they are no part of it.
+    // The steps of scripts before the standstill are dropped, because they are not part of it.
     run_state.cell.turns.iter_mut().for_each(Vec::clear);
     let seen = Round::walk(&mut run_state, &mut moves)?;
     let asks = seen.asks();
@@ -147,12 +151,13 @@ pub(super) fn tell(
 struct Round {
     known: HashSet<u64>,
     leads: HashMap<u64, Vec<u64>>,
-    /// Outcomes that tasks were told: the task, the statement, the state before and the state after.
+    /// The outcomes of requests that tasks learnt: the task, the statement, the state before and the state after.
     told: BTreeSet<(usize, Address, u64, u64)>,
 }
 
 impl Round {
-    /// Explores all states. Appends the first move of each state to `moves`, so that the chart shows one cycle.
+    /// Explores all states of the standstill. Appends the first move of each state to `moves`, so that the chart shows one
+    /// cycle.
     fn walk(run_state: &mut RunState, moves: &mut Vec<CellMove>) -> Option<Self> {
         let mut round = Self::default();
         let mut open = vec![(run_state.store().ok()?, true)];
@@ -178,7 +183,8 @@ impl Round {
                 let next = run_state.store().ok()?;
                 let to = Mark::of(run_state.split(&next)).core();
                 round.leads.entry(from).or_default().push(to);
-                // Outcomes told to a task outside the cell do not count: what its real program does next is unknown.
+                // Outcomes that a task outside the cell learns do not count, because it is unknown what the task's real
+                // program does next.
                 let told = turns
                     .iter()
                     .filter(|turn| is_answered(turn) && !run_state.plan.outside.contains(&turn.task));
@@ -193,8 +199,8 @@ impl Round {
         Some(round)
     }
 
-    /// The tasks that are told an outcome again and again, each with the statement. An outcome that is told only once, on the
-    /// path into the cycle, does not count.
+    /// The tasks that learn an outcome again and again, each with the statement. An outcome that a task learns only once,
+    /// on the path into the cycle, does not count.
     fn asks(&self) -> BTreeMap<usize, Address> {
         let mut asks = BTreeMap::new();
         for &(task, at, from, to) in &self.told {
@@ -206,7 +212,7 @@ impl Round {
     }
 }
 
-/// Whether one state leads to another in one step or more.
+/// Whether one state of the standstill leads to another in one step or more.
 fn comes_to(leads: &HashMap<u64, Vec<u64>>, from: u64, to: u64) -> bool {
     let (mut open, mut seen) = (vec![from], HashSet::from([from]));
     while let Some(state) = open.pop() {
@@ -218,7 +224,7 @@ fn comes_to(leads: &HashMap<u64, Vec<u64>>, from: u64, to: u64) -> bool {
     false
 }
 
-/// Whether a script is told the outcome of a request to other tasks.
+/// Whether a script learns the outcome of a request to other tasks in this step.
 const fn is_answered(turn: &ScriptReaction) -> bool {
     match turn.input {
         ScriptInput::Signal(Signal::Outcome(_) | Signal::Answers { .. } | Signal::GaveUp { .. }) => true,

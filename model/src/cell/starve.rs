@@ -1,9 +1,10 @@
-//! Detects starvation: a request waits all the time, and is put off more often than aging allows (§5.1.1, D58, D59).
+//! Detects starvation: a request waits all the time, and is rejected or bypassed more often than aging allows (§5.1.1, D58,
+//! D59).
 //!
-//! A request that ended by its time_out may have arrived late, or may have been bypassed while it waited. So the path
-//! to the finding is replayed, and two numbers are counted at each receiver of the request: how often it is rejected by
-//! rank, and how many other messages are taken before it. Aging bounds both by some `K`. A request that exceeds its
-//! bound would not have been served with any time_out.
+//! A request that ended by its time_out may have arrived late, or may have been bypassed while it waited. So the path to
+//! the finding is replayed, and two numbers are counted at each receiver of the request: how often it is rejected by rank,
+//! and how many other messages are taken before it. Aging bounds both numbers. A request that exceeds a bound would not
+//! have been served in time with any time_out.
 
 use super::judge::{Shown, name, statement};
 use super::plan::{CellFaults, CellPlan, Conduct};
@@ -14,21 +15,21 @@ use imrs_protocol::script::{Address, Op, ScriptInput};
 use imrs_protocol::{PortId, Signal, TaskId};
 use std::sync::Arc;
 
-/// What a request met at one receiver.
+/// What has happened to a request at one of its receivers.
 #[derive(Clone, Copy, Default)]
 struct Wait {
-    /// Rejections that its port has counted so far.
+    /// The number of rejections that the receiver's port has counted so far.
     counted: u64,
-    /// Rejections since the request arrived.
+    /// The number of rejections by rank since the request arrived.
     rejected: u64,
-    /// How many messages of other tasks were taken since then.
+    /// The number of messages of other tasks that were taken since the request arrived.
     passed: u64,
-    /// The most messages that its port's buffer holds.
+    /// How many messages the buffer of the receiver's port holds.
     capacity: u64,
 }
 
-/// Turns a time_out into a starvation if the path shows that the request starved. `shown` is the finding of the last
-/// move.
+/// Turns the finding of a time_out into one of starvation, if the path shows that the request starved. `shown` is the
+/// finding of the last move.
 pub(super) fn decided(plan: &Arc<CellPlan>, moves: &[super::CellMove], shown: Shown) -> Shown {
     match (shown.kind, shown.task.zip(shown.address)) {
         (Kind::TimeOut, Some(place)) => match starved(plan, moves, place) {
@@ -39,7 +40,7 @@ pub(super) fn decided(plan: &Arc<CellPlan>, moves: &[super::CellMove], shown: Sh
     }
 }
 
-/// How a request that ended by its time_out starved; `None` if it did not.
+/// How a request that ended by its time_out starved; `None` if it did not starve.
 fn starved(
     plan: &Arc<CellPlan>,
     moves: &[super::CellMove],

@@ -1,4 +1,4 @@
-//! Replays the path to a finding: step by step with what each task does, and as a chart.
+//! Replays the path to a finding: records what each task does in each step, and draws a chart.
 
 use super::context::{Origin, context};
 use super::judge::Shown;
@@ -16,15 +16,15 @@ use imrs_protocol::TaskId;
 use imrs_protocol::script::{Address, End};
 use std::sync::Arc;
 
-/// The most lines of a chart. A longer one loses lines between its head and its end.
+/// The greatest number of lines of a chart. A longer chart loses lines in its middle.
 const LINES: usize = 160;
 
-/// A path with its steps, its chart and its cause.
+/// A replayed path: its steps, its chart and the cause of the finding.
 pub(super) struct Explained {
     pub steps: Vec<Step>,
     pub chart: String,
     pub ticks: u64,
-    /// The cause, with the values that explain it.
+    /// The cause of the finding, with the values that explain it.
     pub cause: String,
     pub others: Vec<Concerned>,
 }
@@ -49,7 +49,7 @@ pub(super) fn tell(
     Explained { steps, chart: shorten(&drawn), ticks: run_state.passed, cause, others }
 }
 
-/// The finding that the last of these moves shows.
+/// The finding that the last of these moves shows, with its path.
 pub(super) fn finding(
     plan: &Arc<CellPlan>,
     (phase, hypothesis): (Phase, usize),
@@ -79,18 +79,18 @@ pub(super) fn finding(
     }
 }
 
-/// A step of a path that is replayed.
+/// A step of a path while the path is replayed.
 pub(super) struct Walked<'a> {
-    /// The cell after the step. Its log holds what the step showed.
+    /// The cell after the step. Its log holds what happened in the step.
     pub run_state: &'a RunState,
     pub lanes: &'a Lanes,
     /// The names of the ports.
     pub ports: &'a [String],
     pub step: CellMove,
     pub notes: &'a [Note],
-    /// How many of the notes, counted from the end, are about scripts that ended.
+    /// How many of the step's notes, counted from the end, are about scripts that ended.
     pub ended: usize,
-    /// What the scripts did.
+    /// What the scripts did in the step.
     pub turns: &'a [ScriptReaction],
 }
 
@@ -102,10 +102,10 @@ impl Walked<'_> {
     }
 }
 
-/// A path that was replayed.
+/// A path that has been replayed.
 pub(super) struct ReplayedPath {
     pub recorder: ChartRecorder,
-    /// The cell at its end.
+    /// The cell at the end of the path.
     pub run_state: RunState,
     /// The statement that each task began last.
     pub begun: Vec<Option<Address>>,
@@ -183,7 +183,7 @@ pub(super) fn walk(
     ReplayedPath { recorder, run_state, begun }
 }
 
-/// A panic leaves the cell half changed. So the moves before it are made again on a new cell.
+/// A panic leaves the cell half changed. So the moves before the panic are made again on a new cell.
 fn before_panic(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove]) -> RunState {
     let mut run_state = RunState::new(plan, faults);
     moves.iter().for_each(|&step| run_state.apply(step));
@@ -192,7 +192,7 @@ fn before_panic(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove]) -
     run_state
 }
 
-/// Draws notes, and adds their line and their values.
+/// Adds to each note the line of the cell's text and the values, and draws the notes.
 fn explained(
     recorder: &mut ChartRecorder,
     line: Option<u32>,
@@ -280,7 +280,7 @@ fn describe(run_state: &RunState, step: CellMove) -> Option<(Lane, String)> {
     })
 }
 
-/// Draws the scripts that ended with the last move.
+/// Draws that scripts ended with the last move.
 fn ends(
     run_state: &RunState,
     turns: &[ScriptReaction],
@@ -303,7 +303,7 @@ fn ends(
     }
 }
 
-/// Keeps the head and the end of a long chart.
+/// Keeps the first and the last lines of a long chart.
 pub(super) fn shorten(chart: &str) -> String {
     let lines: Vec<&str> = chart.lines().collect();
     if lines.len() <= LINES {
@@ -315,8 +315,7 @@ pub(super) fn shorten(chart: &str) -> String {
     format!("{head}\n      ... {left_out} lines left out ...\n{tail}")
 }
 
-/// The lane names of a part, and the notes with lanes renumbered for that part. `None`: those of the whole
-/// cell.
+/// The lane names of a part, and the notes with lanes renumbered for that part. `None` stands for the whole cell.
 #[must_use]
 pub fn drawn(plan: &CellPlan, part: Option<usize>, notes: Vec<Note>) -> (Vec<String>, Vec<Note>) {
     let part = part.and_then(|number| parts(plan).into_iter().nth(number));

@@ -3,17 +3,17 @@
 use crate::chart::Note;
 use std::fmt::Write;
 
-/// Least and most width of a lane, in pixels.
+/// The least and the greatest width of a lane, in pixels.
 const LANE: (usize, usize) = (120, 360);
-/// Width of a character, in tenths of a pixel.
+/// The width of a character, in tenths of a pixel.
 const CHARACTER: usize = 73;
 const LINE: usize = 18;
-/// Width of the column of ticks, and of the column of line numbers behind it, if there is one.
+/// The width of the column of ticks, and of the column of line numbers beside it, if there is one.
 const TICKS: usize = 60;
 const LINES: usize = 50;
 
-/// Draws the lines of a chart as SVG, one lane for each name. The drawing has no background of its own, so
-/// that of the page shows.
+/// Draws the lines of a chart as SVG, one lane for each name. The drawing has no background of its own, so the background
+/// of the page shows.
 #[must_use]
 pub fn svg<'a>(names: &[String], notes: impl IntoIterator<Item = &'a Note>, cause: &str) -> String {
     let notes: Vec<&Note> = notes.into_iter().collect();

@@ -1,4 +1,4 @@
-//! What the states of a search that a budget ended differ in: what makes a cell large.
+//! If a budget ended a search: finds in what the states of the search differ, which shows what makes the cell large.
 
 use super::judge::program;
 use super::plan::{CellFaults, CellPlan};
@@ -11,14 +11,14 @@ use std::collections::HashSet;
 use std::rc::Rc;
 use std::sync::Arc;
 
-/// At most so many states are kept in the sample.
+/// The greatest number of states in the sample.
 const SAMPLE: usize = 8_192;
-/// A variable with fewer values does not make a cell large.
+/// A variable with fewer different values than this does not make a cell large.
 const MANY: usize = 8;
-/// So many variables are named at most.
+/// The greatest number of variables that are named.
 const NAMED: usize = 3;
 
-/// Packs all times alike, so that only the rest of a state is compared.
+/// Packs all times alike, so that states are compared without their times.
 struct Timeless;
 
 impl Zone for Timeless {
@@ -33,7 +33,8 @@ impl Zone for Timeless {
     }
 }
 
-/// A sample of the states that a search keeps, chosen by their fingerprints, so that it is the same for any number of threads.
+/// A sample of the states that a search keeps, chosen by their fingerprints, so that the sample is the same for any number
+/// of threads.
 pub(super) struct Sample {
     /// A state is in the sample if the high half of its fingerprint is a multiple of this. The low half decides which states of
     /// a chain are kept at all.
@@ -48,7 +49,7 @@ impl Default for Sample {
 }
 
 impl Sample {
-    /// Takes in a kept state. A sample that has grown too large drops every other state.
+    /// Takes a kept state into the sample, if it belongs there. A sample that has grown too large drops every other state.
     pub fn take_in(&mut self, fingerprint: u64, state: &[u8]) {
         let high = fingerprint >> 32;
         if !high.is_multiple_of(self.stride) {
@@ -63,7 +64,7 @@ impl Sample {
     }
 }
 
-/// Describes a search with so many open states; `None` if there are none, because it has ended by itself.
+/// Describes a search that left `open` states unexpanded; `None` if it left none, because it ended by itself.
 pub(super) fn of(
     plan: &Arc<CellPlan>,
     faults: &CellFaults,

@@ -16,27 +16,27 @@ pub(super) struct Unpacked {
 }
 
 impl Unpacked {
-    /// The start of a cell, with the history of the run.
+    /// A cell before its first move, with the history of the run.
     pub fn new(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Self {
         let run_state = RunState::with_history(plan, faults);
         let reached = nothing_reached(&run_state);
         Self { run_state, reached, phase }
     }
 
-    /// The same cell without the judge of its history, so that packed states can be loaded.
+    /// The same cell without the rules over its history, so that packed states can be loaded.
     pub fn without_history(mut self) -> Self {
         self.run_state.cell.forget_history();
         self
     }
 
-    /// Makes a move. A panic becomes a violation.
+    /// Makes a move. A panic in the move becomes a violation.
     pub fn take(&mut self, step: CellMove) {
         if !self.run_state.survives(step) {
             self.run_state.cell.violation = Some(Violation::Panic);
         }
     }
 
-    /// The findings of the last move, or of the start. Call it once after each move.
+    /// The findings of the last move, or of the first state. Call it once after each move.
     pub fn shown(&mut self) -> Vec<Shown> {
         judge(&mut self.run_state, self.phase, &mut self.reached)
     }

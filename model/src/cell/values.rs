@@ -4,27 +4,28 @@ use super::plan::{CellPlan, Conduct, Holds};
 use imrs_protocol::script::{Binary, Op, Term, Type, real};
 use serde::{Deserialize, Serialize};
 
-/// The most values to try in a field.
+/// The greatest number of values to try in a field.
 const MOST: usize = 12;
 
-/// The values to try in messages from outside the cell. A message has one of them in all of its fields.
+/// The values to try in messages from outside the cell. In one message all fields have the same one of these values.
 ///
-/// Scripts and checks compare with constants, so values between these constants lead nowhere else. The values are zero, one, all
-/// constants, and the two neighbours of each constant that is compared by order.
+/// Scripts and checks compare with constants, so values between these constants lead to no other behaviour. The values are
+/// zero, one, all constants, and the two neighbours of each constant that is compared by order.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Tried {
     /// Values for fields that are not reals.
     pub whole: Vec<i64>,
-    /// Values for fields that are reals; empty if there are none.
+    /// Values for fields that are reals; empty if there are no such fields.
     pub real: Vec<f32>,
-    /// Values beyond the limit, which are not tried.
+    /// Values that are not tried, because there are too many.
     pub left_out: Vec<i64>,
-    /// Values of reals beyond the limit, which are not tried.
+    /// Values of reals that are not tried, because there are too many.
     pub real_left_out: Vec<f32>,
 }
 
 impl Tried {
-    /// Collects the values from the scripts and checks of a cell. `has_real`: whether such a message has a real field.
+    /// Collects the values from the scripts and checks of a cell. `has_real`: whether a message from outside has a real
+    /// field.
     pub(super) fn of(plan: &CellPlan, has_real: bool) -> Self {
         let mut whole = Candidates { all: vec![0, 1], near: vec![] };
         let mut real = Candidates { all: vec![0.0, 1.0], near: vec![] };
@@ -37,7 +38,7 @@ impl Tried {
                         real.all.push(value);
                         if is_by_order(operator) {
                             real.near.extend([value.next_down(), value.next_up()]);
-                            // A whole number may be compared with this real.
+                            // Scripts may compare a whole number with this real.
                             whole.near.extend([value.floor(), value.ceil()].map(nearest));
                         }
                     }
@@ -46,13 +47,13 @@ impl Tried {
                         if is_by_order(operator) {
                             let (less, more) = (value.saturating_sub(1), value.saturating_add(1));
                             whole.near.extend([less, more]);
-                            // The constant may be compared with the whole part of a real, so the reals around
-                            // it are tried, too.
+                            // Scripts may compare the constant with the whole part of a real, so the reals around it are
+                            // tried, too.
                             real.near.extend([less, value, more].map(nearest_real));
                         }
                     }
-                    // The script does not say the type of this constant. A number as large as this is taken
-                    // for a real, given by its bits.
+                    // The script does not say the type of this constant. A number as large as this is taken for the bits of
+                    // a real.
                     _ if (LEAST_BITS..=i64::from(u32::MAX)).contains(&value) => {
                         real.all.extend(as_real(value));
                     }
@@ -63,7 +64,7 @@ impl Tried {
         let (whole, left_out) = whole.cut(|value| (value.unsigned_abs(), *value < 0));
         let mut tried = Self { whole, left_out, ..Self::default() };
         if has_real {
-            // The bits of finite numbers without a sign sort like the numbers.
+            // The bits of finite numbers, without the sign bit, sort like the numbers themselves.
             (tried.real, tried.real_left_out) = real.cut(|value| (value.abs().to_bits(), *value < 0.0));
         }
         tried
@@ -75,12 +76,12 @@ impl Tried {
         self.whole.is_empty()
     }
 
-    /// The number of different messages to try: one if the message has no fields.
+    /// The number of different messages to try: one if a message has no fields.
     pub(super) fn len(&self) -> usize {
         self.whole.len().max(self.real.len()).max(1)
     }
 
-    /// The value of a field in the message of this number: the nearest value that its type has.
+    /// The value of a field in the message with this number: the nearest value that the field's type has.
     pub(super) fn value(&self, of: Type, number: usize) -> i64 {
         let whole = self.whole.get(number).or(self.whole.last()).copied().unwrap_or(0);
         match of {
@@ -94,14 +95,14 @@ impl Tried {
     }
 }
 
-/// Constants, and the neighbours of those that are compared by order.
+/// Collected constants, and the neighbours of the constants that are compared by order.
 struct Candidates<T> {
     all: Vec<T>,
     near: Vec<T>,
 }
 
 impl<T: PartialEq + Copy> Candidates<T> {
-    /// The values to try, constants first, both sorted by `order`; then those beyond the limit.
+    /// The values to try, constants first, both sorted by `order`; then the values beyond the limit.
     fn cut<K: Ord>(self, order: impl Fn(&T) -> K) -> (Vec<T>, Vec<T>) {
         let mut kept: Vec<T> = Vec::new();
         for mut some in [self.all, self.near] {
@@ -117,7 +118,7 @@ impl<T: PartialEq + Copy> Candidates<T> {
     }
 }
 
-/// The expressions of scripts and checks. `None` stands for any other operation of a script.
+/// The expressions of scripts and checks. `None` in an expression stands for an operation of a script that is no term.
 fn expressions(plan: &CellPlan) -> impl Iterator<Item = Vec<Option<Term>>> {
     let term = |op: &Op| if let Op::Term(term) = op { Some(*term) } else { None };
     let bodies = plan.tasks.iter().filter_map(move |task| match task {
@@ -149,7 +150,7 @@ const fn nearest_real(value: i64) -> f32 {
     value as f32
 }
 
-/// The operator that takes a constant as operand: the next term, or the one after one other operand.
+/// The operator that takes a constant as an operand: the term after the constant, or the term after one more operand.
 fn operator(behind: &[Option<Term>]) -> Option<Term> {
     let near = behind.iter().take(2).map_while(|term| *term);
     near.into_iter().find(|term| matches!(term, Term::Int(_) | Term::Real(_)))

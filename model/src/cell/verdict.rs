@@ -21,11 +21,11 @@ pub enum Kind {
     Stranded,
     /// A message is refused without a fault.
     Refused,
-    /// A statement ends badly and has no branch for that, so its task ends.
+    /// A statement ends badly and has no branch for this outcome, so its task ends.
     Ends,
     /// A task reaches an `abort` without a fault.
     Aborts,
-    /// A primary loses its lease although nothing went wrong.
+    /// A primary loses its lease although no fault happened.
     LeaseLost,
     /// An `assert` does not hold.
     Assertion,
@@ -43,18 +43,18 @@ pub enum Kind {
     Standstill,
     /// A task waits for ever, because all tasks that could help have ended or wait themselves: a warning.
     WaitsForEver,
-    /// The protocol's state machine is at fault, or a state has no packed form.
+    /// The protocol's state machine violates an invariant, or a state has no packed form.
     Machine,
 }
 
 impl Kind {
-    /// Whether the behaviour may be intended: a warning fails no check.
+    /// Whether findings of this kind may be intended: these are warnings, and no check fails because of them.
     #[must_use]
     pub const fn is_warning(self) -> bool {
         matches!(self, Self::Standstill | Self::WaitsForEver)
     }
 
-    /// A heading of a few words.
+    /// A heading of a few words for findings of this kind.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -91,9 +91,9 @@ pub enum Phase {
 /// A task that a finding concerns, and what the task does at that time.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Concerned {
-    /// The task.
+    /// The task that is concerned.
     pub task: TaskId,
-    /// The operation that it is at or was at last; `None` if it began no statement.
+    /// The operation at which the task is or was last; `None` if the task has begun no statement.
     pub at: Option<Address>,
     /// What the task does, in words.
     pub does: String,
@@ -104,53 +104,54 @@ pub struct Concerned {
 pub struct Finding {
     /// The kind of the finding.
     pub kind: Kind,
-    /// The phase in which it was found, which shows whether it needs a fault.
+    /// The phase in which the finding was made, which shows whether the finding needs a fault.
     pub phase: Phase,
-    /// The position of its hypothesis in the plan, in a phase with faults.
+    /// In a phase with faults: the position of the phase's fault hypothesis in the plan.
     pub hypothesis: usize,
-    /// The event times of the search that found it.
+    /// The event times of the search that made the finding.
     pub times: Times,
-    /// The position of the independent part in which it was found; `None`: the cell was searched as a whole.
+    /// The position of the independent part in which the finding was made; `None`: the cell was searched as a whole.
     #[serde(default)]
     pub part: Option<usize>,
-    /// The task that it belongs to.
+    /// The task to which the finding belongs.
     pub task: Option<TaskId>,
     /// Other tasks with the same statements, each with the same finding.
     #[serde(default)]
     pub also: Vec<TaskId>,
-    /// The operation in the task's program.
+    /// The operation in the task's program at which it was made.
     pub address: Option<Address>,
-    /// The check, by its position.
+    /// The check that the finding is about, by its position.
     pub check: Option<usize>,
-    /// The work couple, by its position among the cell's.
+    /// The work couple that the finding is about, by its position among the cell's couples.
     pub couple: Option<usize>,
     /// The other tasks that the finding concerns.
     pub others: Vec<Concerned>,
-    /// The cause of the finding, one line in the cell's words.
+    /// The cause of the finding: one line, in the names of the cell.
     pub cause: String,
     /// Ticks from the start to the finding.
     pub at_ticks: u64,
     /// The moves that lead to the finding. They can be replayed with the same plan.
     pub moves: Vec<CellMove>,
-    /// The same moves with what they show.
+    /// The steps of the path: the same moves, with what they show.
     pub steps: Vec<Step>,
-    /// The same as a sequence chart of at most 78 columns, in which repetitions are drawn once.
+    /// The path as a sequence chart of at most 78 columns, in which repetitions are drawn once.
     pub chart: String,
 }
 
 /// What one phase of the check has covered.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Coverage {
-    /// The phase.
+    /// The phase that was searched.
     pub phase: Phase,
-    /// The position of its hypothesis in the plan, in a phase with faults.
+    /// In a phase with faults: the position of the phase's fault hypothesis in the plan.
     pub hypothesis: usize,
-    /// The event times, never [`Times::Auto`]; the coarsest ones if parts were searched at different ones.
+    /// The event times of the search, never [`Times::Auto`]. If parts were searched at different event times, the coarsest
+    /// of these.
     pub times: Times,
-    /// The number of independent parts, each searched by itself. The following fields cover all of them.
+    /// The number of independent parts, each searched by itself. The following fields cover all parts.
     #[serde(default = "one")]
     pub parts: u32,
-    /// Different states that were kept; between two of them only one move is possible.
+    /// The number of different states that were kept. Between two kept states only one move at a time is possible.
     pub states: u64,
     /// How many of these may have more times than are reached (D202): then a statement may count as reached that is not.
     #[serde(default)]
@@ -159,22 +160,22 @@ pub struct Coverage {
     pub moves: u64,
     /// The largest number of choices on a shortest path to a state.
     pub depth: u64,
-    /// Every path of at most this many choices was covered.
+    /// Every path of at most this many choices has been covered.
     pub whole_depth: u64,
-    /// Ticks to the latest finding.
+    /// Ticks from the start to the latest finding.
     pub ticks: u64,
     /// Whether everything within the bounds was covered.
     pub complete: bool,
-    /// Whether the search left out what follows some finding.
+    /// Whether the search left out the moves after some finding.
     pub pruned: bool,
     /// The budget that ended the search, if one did.
     pub ended_by: Option<String>,
-    /// The states that the search had found and not expanded when the budget ended it.
+    /// The states that the search had found but not expanded when the budget ended it.
     #[serde(default)]
     pub unfinished: Option<Unfinished>,
-    /// Bytes of the longest packed state.
+    /// The number of bytes of the longest packed state.
     pub longest_state: u64,
-    /// Duration in seconds.
+    /// The duration of the search in seconds.
     pub seconds: f64,
 }
 
@@ -182,36 +183,36 @@ const fn one() -> u32 {
     1
 }
 
-/// The states that were found and not expanded, because a budget ended the search, and what makes it large.
+/// The states that were found and not expanded because a budget ended the search, and what makes the search large.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Unfinished {
-    /// How many there are.
+    /// The number of states that were not expanded.
     pub open: u64,
-    /// How many of all states the following fields describe.
+    /// The number of states that the following fields describe: a sample of all states.
     pub sampled: u64,
-    /// How many of these differ in something other than times.
+    /// How many states of the sample differ in something other than times.
     pub apart_from_times: u64,
-    /// The variables of tasks with the most values among these, the one with the most first.
+    /// The variables of tasks that have the most values in the sample, the one with the most values first.
     pub variables: Vec<ManyValues>,
 }
 
-/// A variable that has many values.
+/// A variable that has many values in the sample.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ManyValues {
-    /// The task.
+    /// The task of the variable.
     pub task: TaskId,
     /// The variable's name in the task.
     pub name: String,
-    /// How many values it has.
+    /// The number of different values of the variable.
     pub values: u64,
 }
 
 /// Why a cell cannot be checked.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Refused {
-    /// The task that cannot be checked, or the first one if the whole cell cannot.
+    /// The task that cannot be checked; if the whole cell cannot be checked, the first task.
     pub task: TaskId,
-    /// The operation in the task's program.
+    /// The operation in the task's program that prevents the check.
     pub at: Address,
     /// The reason in one line.
     pub why: String,
@@ -220,26 +221,27 @@ pub struct Refused {
 /// The result of checking a cell.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Verdicts {
-    /// Why the cell was not checked; `None` if it was.
+    /// Why the cell was not checked; `None` if it was checked.
     pub refused: Option<Refused>,
-    /// Findings, in the order of [`Kind`].
+    /// The findings, in the order of [`Kind`].
     pub findings: Vec<Finding>,
     /// Findings that may be intended ([`Kind::is_warning`]). Only a complete search looks for standstills: it reports at most one
     /// for each phase and independent part.
     #[serde(default)]
     pub warnings: Vec<Finding>,
-    /// What each phase of the check has covered: the search without faults, and that of each fault hypothesis.
+    /// What each phase of the check has covered: the search without faults, and the search of each fault hypothesis.
     pub phases: Vec<Coverage>,
-    /// Terms of checks that never changed in any state: the check's position, and the value, such as `r2.active = false`.
+    /// Terms of checks that never changed in any state: the check's position, and the term with its value, such as
+    /// `r2.active = false`.
     pub still: Vec<(usize, String)>,
-    /// For each task, the number of statements reached, and of all its statements.
+    /// For each task, the number of its statements that were reached, and of all its statements.
     pub statements: Vec<(u32, u32)>,
     /// Unreached statements that may need a fault, such as those of branches, timers and take-overs: task and operation.
     pub not_exercised: Vec<(TaskId, Address)>,
-    /// The values tried in messages from tasks outside the cell; empty if no such task sends values.
+    /// The values that were tried in messages from tasks outside the cell; empty if no such task sends values.
     pub outside: Tried,
-    /// Unreached statements to which other values may lead, in messages from outside or as results of actions: task and
-    /// operation.
+    /// Unreached statements to which untried values may lead, in messages from outside the cell or as results of actions:
+    /// task and operation.
     pub not_tried: Vec<(TaskId, Address)>,
     /// Unreached statements about which nothing is proved, because a budget ended a search, or a finding ended a path to them:
     /// task and operation.
@@ -253,18 +255,18 @@ impl Verdicts {
         self.refused.is_none() && self.phases.iter().all(|phase| phase.complete)
     }
 
-    /// The findings of a kind.
+    /// The findings of one kind.
     pub fn of(&self, kind: Kind) -> impl Iterator<Item = &Finding> {
         self.findings.iter().filter(move |finding| finding.kind == kind)
     }
 }
 
-/// A task after a step.
+/// A task after a step of a path.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TaskView {
     /// Whether the task's node runs.
     pub up: bool,
-    /// The operation in which it waits.
+    /// The operation in which the task waits.
     pub at: Address,
     /// What the task does, in words.
     pub does: String,
@@ -272,19 +274,19 @@ pub struct TaskView {
     pub variables: Vec<i64>,
     /// The task's ports, each with the number of waiting messages.
     pub queues: Vec<(PortId, u16)>,
-    /// Its running actions: activation, and the remaining ticks, at least and at most.
+    /// The task's running actions: for each, its activation, and its least and most remaining ticks.
     pub acts: Vec<(u8, u32, u32)>,
 }
 
 /// A step of a path.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Step {
-    /// Ticks since the start.
+    /// Ticks since the start of the path.
     pub tick: u64,
-    /// The move.
+    /// The move that was made in the step.
     pub step: CellMove,
     /// What the move shows in a chart.
     pub notes: Vec<Note>,
-    /// The tasks after it, by position.
+    /// The tasks after the step, by position.
     pub tasks: Vec<TaskView>,
 }

@@ -7,7 +7,7 @@ use super::verdict::TaskView;
 use imrs_protocol::script::Activity;
 use imrs_protocol::{TaskId, Ticks};
 
-/// The present view of a task.
+/// The view of a task in the present state.
 pub(super) fn view(run_state: &RunState, task: usize) -> TaskView {
     let plan = &run_state.plan;
     let outside = !plan.has_task(task);

@@ -1,4 +1,4 @@
-//! Detects tasks that wait for ever: for each other (deadlock), or for a task that sends nothing any more.
+//! Detects tasks that wait for ever: for each other (deadlock), or for a task that will send nothing any more.
 
 use super::judge::{Shown, name, position, program, statement};
 use super::missed::{next, reached_from};
@@ -7,18 +7,18 @@ use super::verdict::Kind;
 use imrs_protocol::script::{Activity, Op, Program, Term};
 use imrs_protocol::{CellTable, Instant, Packet, PortId, TaskId, Usage};
 
-/// A finding of tasks that wait for each other; if there are none, of a task that is left waiting. `goes_on`:
-/// other moves are still possible.
+/// The finding of tasks that wait for each other for ever. If there are none, the finding of a task that is left waiting.
+/// `goes_on`: whether other moves are still possible.
 pub(super) fn for_ever(run_state: &RunState, goes_on: bool) -> Option<Shown> {
     let closed = closed(run_state, goes_on);
-    // In most states no task waits for ever.
+    // In most states no task waits for ever, so this test ends most calls.
     if !closed.contains(&true) {
         return None;
     }
     ring(run_state, closed.clone(), goes_on).or_else(|| left(run_state, closed))
 }
 
-/// Tasks that wait for each other.
+/// The finding of tasks that wait for each other for ever.
 pub(super) fn deadlock(run_state: &RunState, goes_on: bool) -> Option<Shown> {
     ring(run_state, closed(run_state, goes_on), goes_on)
 }
@@ -33,7 +33,7 @@ fn closed(run_state: &RunState, goes_on: bool) -> Vec<bool> {
         .collect();
     if goes_on {
         keep_closed(run_state, &mut closed);
-        // This scan of all packets comes second, because in most states the set is empty by now.
+        // The scan of all packets comes second, because in most states the set is already empty here.
         closed
             .iter_mut()
             .enumerate()
@@ -43,10 +43,10 @@ fn closed(run_state: &RunState, goes_on: bool) -> Vec<bool> {
     closed
 }
 
-/// The tasks of the set that wait for each other, as a finding.
+/// The finding of the tasks of the set that wait for each other.
 fn ring(run_state: &RunState, mut alive: Vec<bool>, goes_on: bool) -> Option<Shown> {
     let n = alive.len();
-    // A helper of a waiting task is any task that could still send what it waits for.
+    // A helper of a waiting task is any task that could still send the message for which it waits.
     let helpers: Vec<Vec<usize>> =
         (0..n).map(|task| if alive[task] { senders(run_state, task) } else { Vec::new() }).collect();
     // A task whose helpers have all ended is at rest. The tasks that remain wait in a cycle.
@@ -73,7 +73,8 @@ fn ring(run_state: &RunState, mut alive: Vec<bool>, goes_on: bool) -> Option<Sho
     })
 }
 
-/// Whether a task is at a `receive` without a time_out, and no deadline or lease of its communication task ends the wait.
+/// Whether a task waits in a `receive` without a time_out, and no deadline or lease of its communication task ends the
+/// wait.
 fn waits_for_good(run_state: &RunState, task: usize) -> bool {
     let node_state = &run_state.cell.nodes[run_state.cell.node_state_of(task)];
     matches!(operation(run_state, task), Some(Op::Get { time_out: None, .. }))
@@ -85,7 +86,7 @@ fn waits_for_good(run_state: &RunState, task: usize) -> bool {
             .is_some_and(|machine| machine.next_deadline() == Instant::NEVER && machine.epoch().is_none())
 }
 
-/// Whether a packet for a task is in flight, or a timer of it runs.
+/// Whether a packet for a task is in flight, or a timer of the task runs.
 fn is_coming(run_state: &RunState, task: usize) -> bool {
     let id = TaskId::from_index(task);
     let for_it = |packet: &Packet| packet.destination == id;
@@ -97,7 +98,7 @@ fn is_coming(run_state: &RunState, task: usize) -> bool {
         })
 }
 
-/// Removes tasks from the set until no task outside it can help any of its members.
+/// Removes tasks from the set until no task outside of the set can help any task of the set.
 fn keep_closed(run_state: &RunState, closed: &mut [bool]) {
     let has_ended =
         |task: usize| run_state.is_up(task) && matches!(run_state.activity(task), Some(Activity::Ended(_)));
@@ -110,21 +111,21 @@ fn keep_closed(run_state: &RunState, closed: &mut [bool]) {
     }
 }
 
-/// The tasks that can send anything to a task, for its body or for a handler.
+/// The tasks that can send any message to a task, for its body or for a handler.
 fn heard_by(run_state: &RunState, task: usize) -> impl Iterator<Item = usize> {
     let (table, id) = (&run_state.plan.table, TaskId::from_index(task));
     let ports = receives(table, id).into_iter().filter_map(move |port| table.port(port));
     ports.flat_map(move |port| port.peers(id)).map(TaskId::index)
 }
 
-/// The tasks that could send what this task waits for, in a GET or for its lease.
+/// The tasks that could send what this task waits for: a message for its GET, or a heartbeat for its lease.
 fn senders(run_state: &RunState, task: usize) -> Vec<usize> {
     let table = &run_state.plan.table;
     let at = TaskId::from_index(task);
     let (ports, from): (Vec<PortId>, Option<TaskId>) = match operation(run_state, task) {
         Some(Op::Get { port: Some(port), source, .. }) => (vec![*port], *source),
         Some(Op::Get { port: None, source, .. }) => (receives(table, at), *source),
-        // The standby's heartbeats grant the lease.
+        // The primary waits for the lease, which the standby's heartbeats grant.
         Some(Op::Lease) => {
             let couples = table.cell().couples.iter();
             (couples.filter(|couple| couple.primary == at).map(|couple| couple.via).collect(), None)
@@ -146,11 +147,12 @@ fn receives(table: &CellTable, task: TaskId) -> Vec<PortId> {
     table.ports_of(task).iter().copied().filter(takes).collect()
 }
 
-/// A task of the set that is left waiting: its body is at a `receive` in the middle of its work, or waits for its lease. All
-/// tasks that could help have ended or wait for messages themselves. A task of a node that is down may help after a restart.
+/// A task of the set that is left waiting: its body waits in a `receive` in the middle of its work, or waits for its lease.
+/// All tasks that could help have ended or wait for messages themselves. A task of a node that is down may help after a
+/// restart.
 ///
-/// A server at the head of its endless loop is at rest: it has done all that it was asked for. So is a primary whose standby has
-/// taken over and ended.
+/// A server at the head of its endless loop is at rest, because it has done all its work. A primary whose standby has taken
+/// over and ended is at rest, too.
 fn left(run_state: &RunState, mut closed: Vec<bool>) -> Option<Shown> {
     keep_closed(run_state, &mut closed);
     let is_left = |&task: &usize| {
@@ -187,7 +189,7 @@ fn is_relieved(run_state: &RunState, task: usize) -> bool {
         })
 }
 
-/// Whether a task that has ended must have taken over first: its body has no end.
+/// Whether a task that has ended must have taken over before, because its body has no end.
 fn has_taken_over(run_state: &RunState, task: usize) -> bool {
     program(run_state, task).is_some_and(|Program { code, takeover, .. }| {
         let body = reached_from(code, [0], |at| next(&code[at], at));
@@ -199,13 +201,13 @@ fn has_taken_over(run_state: &RunState, task: usize) -> bool {
 /// Whether the `receive` at this address is a first wait of an endless loop.
 fn is_served_at(program: &Program, at: usize) -> bool {
     let code = &program.code;
-    // Follows a round of the loop up to its first waits. If a path leaves the loop before them, the loop is a
+    // Follows one iteration of the loop up to its first waits. If a path leaves the loop before them, the loop is a
     // `while`, which may end.
     let is_first_wait = |head: usize, end: usize| {
         let is_inside = |at: usize| (head..=end).contains(&at);
         let round = reached_from(code, [head], |at| match code[at] {
             op if waits(&op) || !is_inside(at) => [None; 2],
-            // The head of `while true`: its condition never ends the loop.
+            // In `while true` the condition never ends the loop.
             Op::Unless(_) if at > head && code[at - 1] == Op::Term(Term::Push(1)) => [None, Some(at + 1)],
             op => next(&op, at),
         });
@@ -226,12 +228,12 @@ const fn waits(op: &Op) -> bool {
     )
 }
 
-/// The operation that a task's own thread stands at.
+/// The operation at which a task's own thread is.
 fn operation(run_state: &RunState, task: usize) -> Option<&Op> {
     program(run_state, task)?.code.get(usize::from(position(run_state, task)))
 }
 
-/// `arm waits at receive `part``.
+/// Where a task waits, in words: `arm waits at receive `part``.
 fn waits_at(run_state: &RunState, task: usize) -> String {
     let table = &run_state.plan.table;
     let what = program(run_state, task)

@@ -1,4 +1,5 @@
-//! Expands kept states: makes each of their moves, and goes on as long as only one move is possible.
+//! Expands kept states: makes each of their moves, and goes on as long as only one move is possible. Such a path from a
+//! kept state to the next choice is called a *walk* here.
 
 use super::judge::{Reached, Shown, judge, nothing_reached};
 use super::run_state::{CellMove, RunState};
@@ -10,7 +11,7 @@ use crate::state::Violation;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-/// Moves without an alternative before a state is kept in any case.
+/// After this many moves without an alternative, a state is kept in any case.
 const WALK: u16 = 512;
 
 /// How a kept state was first reached: its parent, which of the parent's moves, and the number of choices on the path.
@@ -19,11 +20,11 @@ pub(super) struct Origin {
     pub parent: u32,
     pub choice: u16,
     pub depth: u16,
-    /// Moves from the parent to this state, including the chosen one.
+    /// The number of moves from the parent to this state, including the chosen move.
     pub steps: u16,
 }
 
-/// A finding, shown by the last move of the walk that `origin` describes.
+/// A finding that the last move of a walk shows. `origin` describes the walk.
 pub(super) struct Hit {
     pub shown: Shown,
     pub origin: Origin,
@@ -36,22 +37,22 @@ pub(super) struct Stop {
     pub state: Box<[u8]>,
 }
 
-/// A walk so far.
+/// A walk, as far as it has come.
 #[derive(Clone, Copy)]
 struct WalkPath {
     from: u32,
     takes_fault: bool,
-    /// Whether a move of it was progress.
+    /// Whether some move of the walk was progress.
     further: bool,
 }
 
-/// What is known, from the kept states, about a state with only one move.
+/// What the kept states tell about a state that has only one move.
 enum Known {
     /// Nothing is known, so the walk goes on.
     No,
-    /// A kept state covers this state: the kept one allows all moves that this one allows.
+    /// A kept state covers this state: the kept state allows all moves that this state allows.
     Covered(Mark),
-    /// The state is one of those on a chain that are kept. This is its packed form.
+    /// The state is one of those on a chain that are kept. The second value is its packed form.
     Post(Mark, Box<[u8]>),
 }
 
@@ -62,12 +63,12 @@ pub(super) struct Walks {
     pub hits: Vec<Hit>,
     pub moves: u64,
     pub graph: StateGraph,
-    /// Whether some number of a state did not fit its field, so that the state has no packed form. The search
-    /// does not go on from such a state.
+    /// Whether some number of a state did not fit its field, so that the state has no packed form. The search does not
+    /// continue from such a state.
     pub outgrown: bool,
 }
 
-/// Walks from kept states to the next choice.
+/// Makes walks from kept states to the next choice.
 pub(super) struct Walker {
     phase: Phase,
     run_state: RunState,
@@ -82,23 +83,23 @@ impl Walker {
         Self { phase, run_state, reached, walks: Walks::default(), all: Vec::new() }
     }
 
-    /// For each check, whether its left side ever held.
+    /// For each check, whether its left side was ever true.
     pub fn mattered(&self) -> &[bool] {
         &self.run_state.mattered
     }
 
-    /// The results since the last call.
+    /// The results of the walks since the last call.
     pub fn take(&mut self) -> Walks {
         std::mem::take(&mut self.walks)
     }
 
-    /// Walks from the start of the cell.
+    /// Makes the walk from the start of the cell.
     pub fn start(&mut self, seen: &Seen) {
         self.walk(Origin { parent: u32::MAX, choice: 0, depth: 0, steps: 0 }, None, seen);
     }
 
-    /// Expands a kept state: walks by each of its moves. `before` is the number of choices on the path to it, `is_sampled` whether it
-    /// is in the sample.
+    /// Expands a kept state: makes a walk for each of its moves. `before` is the number of choices on the path to the
+    /// state; `is_sampled` says whether the state is in the sample.
     pub fn expand(&mut self, at: u32, (before, is_sampled): (u16, bool), state: &[u8], seen: &Seen) {
         self.run_state.cell.is_sampled = is_sampled || self.run_state.plan.everything;
         self.run_state.load(state);
@@ -118,9 +119,10 @@ impl Walker {
     }
 
     /// Drops the moves that lose a packet whose arrival changes nothing: the arrival leads to the same state, with more
-    /// faults left. A cut may as well begin with the next packet, or end before this one. There are two exceptions: an
-    /// arrival ends postponements of actions and packets, and its node may crash right after it, while a loss has
-    /// neither effect. In these cases the move that ends a cut stays. Returns whether the run state was changed.
+    /// faults left. Instead of losing this packet, a cut may as well begin with the next packet, or end before this packet.
+    /// There are two exceptions: an arrival ends postponements of actions and packets, and the receiving node may crash
+    /// right after it, while a loss has neither effect. In these cases the move that ends a cut stays. Returns whether the
+    /// run state was changed.
     fn leave_out(&mut self, state: &[u8], moves: &mut Vec<(u16, CellMove)>) -> bool {
         if self.run_state.plan.everything {
             return false;
@@ -152,7 +154,7 @@ impl Walker {
         !fresh
     }
 
-    /// Makes the first move, and goes on as long as only one move is possible.
+    /// Makes the first move of a walk, and goes on as long as only one move is possible.
     fn walk(&mut self, mut origin: Origin, first: Option<CellMove>, seen: &Seen) {
         let mut step = first;
         let mut moves = Vec::new();
@@ -207,7 +209,8 @@ impl Walker {
                     self.walks.stops.push(Stop { origin, mark, state });
                 }
             }
-            // For example, members of a rendezvous give up again and again: their rounds drift apart without bound.
+            // For example, members of a rendezvous may give up again and again, so that their rounds drift apart without
+            // bound.
             Err(Violation::Overflow) => self.walks.outgrown = true,
             Err(violation) => {
                 self.note(Shown::whole(Kind::Machine, violation.text()), origin);
@@ -215,21 +218,21 @@ impl Walker {
         }
     }
 
-    /// Notes a deadlock or an endless wait of some tasks while others go on.
+    /// Notes a deadlock of some tasks, or an endless wait, while other tasks go on.
     fn note_ring(&mut self, origin: Origin) {
         if let Some(shown) = for_ever(&self.run_state, true) {
             self.note(shown, origin);
         }
     }
 
-    /// Notes for the livelock analysis to which state a walk leads. A walk with a fault is not noted.
+    /// Notes for the livelock analysis to which state a walk leads. A walk that has a fault is not noted.
     fn lead(&mut self, path: WalkPath, to: Option<Mark>) {
         if !path.takes_fault {
             self.walks.graph.note(path.from, to.filter(|_| !path.further).map(Mark::core));
         }
     }
 
-    /// Makes a move; returns whether it was progress.
+    /// Makes a move. Returns whether the move was progress.
     fn apply(&mut self, step: CellMove) -> bool {
         self.walks.moves += 1;
         self.run_state.progresses(step).unwrap_or_else(|| {
@@ -241,8 +244,8 @@ impl Walker {
         })
     }
 
-    /// Looks up the state before a lone arrival. The same state with more faults left has a choice, so the search
-    /// may have kept it. If it did not, two paths that join here meet again at the next kept state of the chain.
+    /// Looks up a state whose only move is the arrival of a packet. The same state with more faults left has a choice, so
+    /// the search may have kept that one. If not, two paths that join here meet again at the next kept state of the chain.
     fn is_known(&mut self, moves: &[CellMove], seen: &Seen) -> Known {
         if !matches!(moves, [CellMove::Deliver(_) | CellMove::Vanish(_)]) {
             return Known::No;
@@ -265,7 +268,7 @@ impl Walker {
         Mark::of(self.run_state.split(self.run_state.packed()))
     }
 
-    /// Judges the last move; returns whether the search stops here.
+    /// Judges the last move. Returns whether the search stops after it.
     fn look(&mut self, origin: Origin) -> bool {
         let shown = judge(&mut self.run_state, self.phase, &mut self.reached);
         let last = shown.iter().any(|shown| shown.last);
@@ -280,7 +283,7 @@ impl Walker {
     }
 }
 
-/// The packet that a move removes from its link without an arrival.
+/// The packet that a move removes from its link without delivering it.
 const fn takes_away(step: CellMove) -> Option<u8> {
     match step {
         CellMove::Lose(_) | CellMove::Cut(..) | CellMove::Vanish(_) => step.packet(),

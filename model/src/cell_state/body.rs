@@ -1,4 +1,4 @@
-//! The tasks of a cell as nondeterministic programs: the search takes each of their choices.
+//! The tasks of a cell as nondeterministic programs: the search tries each of their choices.
 
 use super::plan::{CellScenario, Errand, TaskPlan, Times};
 use super::script::Actor;
@@ -24,19 +24,19 @@ pub(crate) enum Does {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct Activation {
     pub does: Does,
-    /// The command that the activation must answer (none if a script answers it), and the first byte of the
-    /// command's contents.
+    /// The command that the activation must answer (`None` if a script answers it), and the first byte of the command's
+    /// contents.
     pub to: Option<ReplyTo>,
     pub echo: u8,
     /// Whether this handler has sent its nested command.
     pub nested: bool,
-    /// Ticks of service or work.
+    /// How many ticks the service or the work has lasted.
     pub age: u8,
-    /// Specification state: for how many ticks the wait may still last; [`Activation::FOREVER`] for no limit.
+    /// Specification state: how many more ticks the activation's wait may last; [`Activation::FOREVER`] for no limit.
     pub left: u8,
-    /// Specification state: the contents byte of the command that it waits for.
+    /// Specification state: the contents byte of the command whose answer the activation waits for.
     pub question: u8,
-    /// Specification state: whether the wait is a GET, and the port it is on.
+    /// Specification state: whether the wait is a GET. The next field is its port.
     pub get: bool,
     pub port: Option<PortId>,
     /// Specification state: the rank at which this handler runs.
@@ -47,16 +47,16 @@ impl Activation {
     pub const FOREVER: u8 = u8::MAX;
 }
 
-/// A task's own state.
+/// The state of a task's own program.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Body {
-    /// Errands left; [`Body::ENDLESS`] for no limit.
+    /// How many errands are left; [`Body::ENDLESS`] for no limit.
     pub times: u8,
-    /// Ticks until it may send again.
+    /// Ticks until the task may send again.
     pub rest: u8,
-    /// The activations: the thread, and the handlers that interrupted each other.
+    /// The activations: the task's thread, and the handlers that interrupted each other.
     pub activations: Vec<Activation>,
-    /// The script, if the task has one: then `activations` only says what it waits for.
+    /// The script, if the task has one: then `activations` only says what the script waits for.
     pub actor: Option<Actor>,
 }
 
@@ -84,7 +84,7 @@ impl Body {
         }
     }
 
-    /// The API calls with which the task begins.
+    /// The API calls that the task makes first.
     pub fn setup(plan: &TaskPlan) -> Vec<Request> {
         let mut requests = Vec::new();
         if !plan.order.ranked().is_empty() {
@@ -131,7 +131,7 @@ impl Body {
             }
     }
 
-    /// Whether its handler may send its nested command now: only one can be outstanding on that port.
+    /// Whether the task's handler may send its nested command now: only one such command can be outstanding on its port.
     pub fn may_nest(&self, plan: &TaskPlan) -> bool {
         let top = self.top();
         let outstanding = |activation: &Activation| activation.nested && activation.does == Does::Waits;
@@ -152,7 +152,7 @@ impl Body {
         let last = self.activations.len() - 1;
         for (i, activation) in self.activations.iter_mut().enumerate() {
             let most = match activation.does {
-                // A handler suspends the service below it; an action goes on.
+                // A handler suspends the service below it, while an action goes on.
                 Does::Serves if i == last => bound(plan.service),
                 Does::Works => match plan.errand {
                     Errand::Work { least, most, .. } => bound((least, most)),
@@ -225,7 +225,7 @@ impl Body {
 
     /// Takes a signal of its communication task.
     pub fn hear(&mut self, signal: &Signal) {
-        // A script knows itself which commands it must answer.
+        // A script keeps track itself of the commands that it must answer.
         let answers = |delivery: &Delivery| delivery.class == Class::Command && self.actor.is_none();
         let serves = |delivery: &Delivery| Activation {
             does: Does::Serves,
@@ -260,7 +260,7 @@ impl Body {
         }
     }
 
-    /// Ends the wait of the top activation.
+    /// Ends the wait of the topmost activation.
     pub fn resume(&mut self) {
         let handler = self.activations.len() > 1;
         if let Some(activation) = self.activations.last_mut() {
@@ -281,7 +281,7 @@ const fn bound((least, most): (u8, u8)) -> u8 {
     if most == u8::MAX { least } else { most }
 }
 
-/// The contents of a message. Only `CellProperty::Waits` reads them.
+/// The contents of a message. Only `CellProperty::Waits` reads these contents.
 pub(crate) fn says(byte: u8, plan: &CellScenario) -> Contents {
     if plan.waits().is_some() { Contents::new(&[byte]).unwrap_or_default() } else { Contents::EMPTY }
 }

@@ -1,4 +1,5 @@
-//! Packs cell states into their canonical bytes and unpacks them: one block, relative numbers, one order (D51).
+//! Packs cell states into their canonical bytes and unpacks them: one block of bytes, with relative numbers, in a fixed
+//! order (D51).
 
 use super::judge::Name;
 use super::plan::Transfer;
@@ -8,10 +9,10 @@ use imrs_protocol::{
     Coming, CommTask, Decode, Encode, Frame, Kind, Overflow, Packet, Pass, PortId, Round, Seq24, Usage, Walk,
 };
 
-/// The numbers that packed numbers are relative to.
+/// The numbers to which packed numbers are relative.
 struct Bases {
     rounds: Vec<Round>,
-    /// For each port, whether a round of it is in use.
+    /// For each port, whether some round of it is in use.
     used: Vec<bool>,
     sequences: Vec<Seq24>,
     incarnations: bool,
@@ -36,10 +37,10 @@ impl CellState {
         Packed(out.into_boxed_slice())
     }
 
-    /// Appends the packed state.
+    /// Appends the packed state to `out`.
     pub fn append_to(&mut self, out: &mut Vec<u8>) {
         let from = out.len();
-        // A relative number outgrew its field: an absorbing, visible failure, never a saturated value.
+        // If a relative number outgrows its field, this is an absorbing, visible failure; no value ever saturates.
         let violation =
             self.violation.or_else(|| self.try_append(out).err().map(|Overflow| Violation::Overflow));
         if let Some(violation) = violation {
@@ -69,7 +70,8 @@ impl CellState {
         let mut behind = if self.counts_behind() { self.behind_from(&bases) } else { Vec::new() };
         out.push(0);
         Encode::append(out, &frame, |w| self.walk(&mut behind, w))?;
-        // Packets arrive in the order in which they left. Those of a cell are sorted by their links already.
+        // Packets arrive in the order in which they left. In the search of a cell the packets are already sorted by their
+        // links.
         let is_in_order =
             self.plan.transfer == Transfer::Exact && self.in_flight.is_sorted_by_key(|carried| carried.link);
         if is_in_order {
@@ -97,7 +99,7 @@ impl CellState {
 
     /// Unpacks the bytes of a state without a violation.
     pub fn load_bytes(&mut self, bytes: &[u8]) {
-        // A run that ended in a violation may have left scripts that did not wait yet.
+        // A run that ended in a violation may have left scripts with inputs that they have not taken.
         self.ready.clear();
         self.rounds.fill(Frame::ROUND);
         self.sequences.fill(Frame::SEQUENCE);
@@ -114,7 +116,8 @@ impl CellState {
         self.behind = behind;
     }
 
-    /// For each port, the distance from the round with which a new incarnation begins to the least round that a member uses now.
+    /// For each port, the distance from the round with which a new incarnation begins to the least round that any member
+    /// uses now.
     fn behind_from(&self, bases: &Bases) -> Vec<u8> {
         let of_port = |(port, &behind): (usize, &u8)| {
             let moved = bases.rounds[port].steps_from(self.rounds[port]).cast_signed();
@@ -147,19 +150,20 @@ impl CellState {
         messages.map(of_packet).chain(again).collect()
     }
 
-    /// For each port the least round in use, and for each task the next sequence.
+    /// For each port the least round in use, and for each task its next sequence number.
     fn bases(&mut self) -> Bases {
         let sequences = (0..self.bodies.len()).map(|task| self.next_sequence(task)).collect();
         let incarnations = self.plan.incarnations();
-        // In the search of a cell, `behind` says how far the rounds of a new incarnation are behind those of
-        // the others.
+        // In the search of a cell, `behind` says how far the rounds of a new incarnation are behind the rounds of the other
+        // members.
         if incarnations && self.turns.is_none() {
-            // A restarted node counts rounds from the first one: only absolute rounds compare with those of others.
+            // A restarted node counts rounds from the first round on, so only absolute rounds can be compared with those of
+            // other nodes.
             let used = vec![true; self.rounds.len()];
             return Bases { rounds: self.rounds.clone(), used, sequences, incarnations };
         }
         let mut least = Least(vec![None; self.rounds.len()]);
-        // Only rendezvous have rounds.
+        // Only rendezvous have rounds, so a cell without a `waitfor` needs no pass.
         if self.plan.cell.ports().iter().any(|port| port.decl.usage == Usage::Waitfor) {
             for node_state in self.nodes.iter_mut().filter(|s| s.up) {
                 let parts = node_state.node.parts_mut();
@@ -175,7 +179,7 @@ impl CellState {
     }
 }
 
-/// A pass that finds the least round in use of each port.
+/// A pass that finds, for each port, the least round in use.
 pub(crate) struct Least(pub Vec<Option<Round>>);
 
 impl Walk for Least {

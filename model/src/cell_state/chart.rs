@@ -9,13 +9,13 @@ use crate::world::Shown;
 use imrs_protocol::{CellTable, NodeId, TaskId};
 use std::sync::Arc;
 
-/// Draws the path of an exploration; `None` where it found no violation.
+/// Draws the path that an exploration found; `None` if it found no violation.
 #[must_use]
 pub fn draw_cell_state(plan: &Arc<CellScenario>, exploration: &Exploration<Move>) -> Option<Counterexample> {
     conclude(exploration, |states| walk(plan, states))
 }
 
-/// Draws a path. `None` where its states do not follow from each other.
+/// Draws a path. `None` if its states do not follow from each other.
 pub(crate) fn walk(plan: &Arc<CellScenario>, states: &[Packed]) -> Option<ChartRecorder> {
     let lanes = Lanes::new(plan);
     let mut recorder = ChartRecorder::new(lanes.names.clone());
@@ -32,7 +32,7 @@ pub(crate) fn walk(plan: &Arc<CellScenario>, states: &[Packed]) -> Option<ChartR
     Some(recorder)
 }
 
-/// The packet that a move is about.
+/// The packet that a move delivers or loses.
 fn carried_of(cell_state: &CellState, step: Move) -> Option<InFlight> {
     match step {
         Move::Deliver(i, _) | Move::Lose(i) | Move::Duplicate(i) => {
@@ -55,8 +55,8 @@ pub(crate) fn one_step(plan: &Arc<CellScenario>, state: &Packed, step: Move) -> 
     recorder
 }
 
-/// The transition of `cell_state` whose packed result is `target`. A chart walks the path unpacked, so that numbers stay
-/// absolute.
+/// The transition of `cell_state` whose packed result is `target`. A chart replays the path without packing, so that
+/// numbers stay absolute.
 fn concrete_move(cell_state: &CellState, target: &Packed) -> Option<(Move, CellState)> {
     let mut moves = Vec::new();
     cell_state.moves(&mut moves);
@@ -69,7 +69,7 @@ fn concrete_move(cell_state: &CellState, target: &Packed) -> Option<(Move, CellS
     })
 }
 
-/// One lane for each task, and one for each node that only relays.
+/// The lanes of a chart: one for each task, and one for each node that only relays.
 pub(crate) struct Lanes {
     pub names: Vec<String>,
     /// For each node, its lane as a relay, if it has one.
@@ -83,7 +83,7 @@ impl Lanes {
         Self { links: plan.links(), ..Self::of(&plan.cell) }
     }
 
-    /// The lanes of a cell, without its links.
+    /// The lanes of a cell.
     pub fn of(table: &CellTable) -> Self {
         let mut names: Vec<String> = table.cell().tasks.iter().map(|task| task.name.clone()).collect();
         let nodes = &table.cell().nodes;
@@ -100,14 +100,14 @@ impl Lanes {
         Self { names, relays, tasks_on, links: Vec::new() }
     }
 
-    /// The lane at which a packet is on a node: its own task there, the relay's lane, or the node's first task.
+    /// The lane where a chart shows a packet on a node: its own task there, the relay's lane, or the node's first task.
     pub fn lane(&self, node: NodeId, task: TaskId) -> usize {
         let here = &self.tasks_on[node.index()];
         let own = here.contains(&task.index()).then_some(task.index());
         own.or(self.relays[node.index()]).or(here.first().copied()).unwrap_or(0)
     }
 
-    /// The lanes of some nodes: those of their tasks, and those of relays.
+    /// The lanes of some nodes: those of the nodes' tasks, and those of relays.
     pub fn on_nodes(&self, is: impl Fn(usize) -> bool) -> Vec<usize> {
         let nodes = (0..self.tasks_on.len()).filter(|&node| is(node));
         let mut all: Vec<usize> =
@@ -159,7 +159,7 @@ impl Lanes {
         self.effects(recorder, tick, &cell_state.log);
     }
 
-    /// Draws what a step showed.
+    /// Draws the effects of a step.
     pub fn effects(&self, recorder: &mut ChartRecorder, tick: u32, log: &[Effect]) {
         log.iter().for_each(|effect| self.effect(recorder, tick, effect));
     }

@@ -1,7 +1,7 @@
 //! Compares each fused step of a node with the small steps that it stands for (D176, D193, D200).
 //!
-//! The search takes the small steps. Wherever a fused step applies, both are made on copies, which must then be equal: the
-//! packed state, all of the node's tasks, and everything that the node does, in its order.
+//! The search takes the small steps. Wherever a fused step applies, both are made on copies of the cell. Afterwards the
+//! copies must be equal: the packed state, all of the node's tasks, and everything that the node did, in order.
 
 use super::wires::Wires;
 use super::{CellState, Effect, small};
@@ -10,7 +10,7 @@ use crate::state::Violation;
 use imrs_protocol::{Node, NodeId, NodeInput, NodeOutbox, Packet, Request, Signal, TaskId, Ticks};
 
 impl CellState {
-    /// Compares the fused step of a request, if it has one, with its small steps.
+    /// Compares the fused step of a request, if the request has one, with its small steps.
     pub(super) fn compare_fused(&self, i: usize, task: TaskId, request: &Request) -> Result<(), Violation> {
         if self.is_symbolic || !may_have(request) {
             return Ok(());
@@ -70,7 +70,7 @@ impl CellState {
         if same { Ok(found) } else { Err(Violation::Fused) }
     }
 
-    /// A copy in which one node has done some work, and what it did.
+    /// A copy of the cell in which one node has done some work, and what the node did.
     fn copy_after(&self, i: usize, work: impl FnOnce(&mut Node, &mut Wires<'_>)) -> (Self, Vec<Effect>) {
         let (mut copy, mut effects) = (self.clone(), Vec::new());
         let mut open = copy.open(i);
@@ -80,7 +80,7 @@ impl CellState {
     }
 }
 
-/// Hears nothing of a step that is only tried.
+/// Ignores the effects of a step that is only tried.
 struct Unheard;
 
 impl NodeOutbox for Unheard {

@@ -1,12 +1,13 @@
-//! Judges a whole run: compares each buffer of a task with a plain list that is written from the node's observations.
+//! Judges a whole run: compares each buffer of a task with a plain list that this module keeps from the node's
+//! observations.
 //!
-//! The search cannot judge these rules, because a single state does not hold its past. Random walks (`cell::guard`)
-//! and `imrs simulate` follow a run from its start, and judge them.
+//! The search cannot judge these rules, because a single state does not hold its past. The random walks of `cell::guard`
+//! and the runs of `imrs simulate` are judged from their start.
 //!
 //! - A message is handed over at most once, and dropped as a duplicate only after a copy of it was accepted.
 //! - A GET takes the most urgent message; a full buffer loses the least urgent one.
-//! - Rejections are counted one by one. Of messages at their cap, the one that was rejected first goes first.
-//! - A message expires only when its time is over, and the buffer holds what the list holds, in its order.
+//! - Rejections are counted one by one. Of several capped messages, the one that was rejected first goes first.
+//! - A message expires only when its time is over, and the buffer holds the same messages as the list, in the same order.
 //! - Encoding a packet to its 32 bytes and decoding it changes nothing, except that its remaining time is rounded down.
 
 mod buffer;
@@ -25,33 +26,33 @@ use std::sync::Arc;
 #[derive(Clone, Debug)]
 pub(crate) struct History {
     plan: Arc<CellScenario>,
-    /// Ticks that each node's clock has counted since the run began.
+    /// For each node, the ticks that its clock has counted since the run began.
     clocks: Vec<u64>,
     tasks: Vec<Listed>,
     /// The source and the id of the packet that is arriving.
     arriving: Option<(TaskId, MessageId)>,
-    /// How many observations there were so far, and how many steps. Events are numbered by both.
+    /// The number of observations so far. The next field is the number of steps. Both number the events of the run.
     events: u64,
     steps: u64,
 }
 
-/// A task: its order of service, its last GET and its buffers.
+/// What the lists know of a task: its order of service, its last GET and its buffers.
 #[derive(Clone, Debug, Default)]
 struct Listed {
     order: ServiceOrder,
-    /// Whether the order changed in this step: counts of rejections may change with it.
+    /// Whether the `order` changed in this step: counts of rejections may change with it.
     reordered: bool,
-    /// The GET of this step: its port and its source.
+    /// The GET of this step, if there is one: its port and its source.
     get: Option<(Option<PortId>, Option<TaskId>)>,
-    /// A message that was rejected before it entered a buffer: source, number, and the step.
+    /// A message that was rejected before it entered a buffer: its source, its number, and the step.
     rejected: Option<(TaskId, u32, u64)>,
     buffers: Vec<Buffer>,
-    /// Whether the last handler that began for a message had one at its cap.
+    /// Whether the last message for which a handler began was capped.
     capped_last: bool,
 }
 
-/// Whether a packet is the same after encoding and decoding. The search passes packets as values. Only this check
-/// encodes them, as on a real link.
+/// Whether a packet is the same after encoding and decoding. The search passes packets as values. Only this check encodes
+/// packets, as a real link does.
 fn survives(packet: &Packet, table: &CellTable) -> bool {
     let hash = |port| table.port(port).map(|port| port.hash);
     let Some(of_port) = hash(packet.port) else { return false };
@@ -65,7 +66,7 @@ fn survives(packet: &Packet, table: &CellTable) -> bool {
 }
 
 impl Listed {
-    /// Judges a GET that takes a queued message: no other message for which it asks may be more urgent.
+    /// Judges a GET that takes a queued message: no other message that suits the GET may be more urgent.
     fn taken_by_get(&self, at: usize, waits: usize) -> Result<(), Violation> {
         let Some((port, source)) = self.get else { return Ok(()) };
         let (buffer, taken) = (&self.buffers[at], &self.buffers[at].waiting[waits]);
@@ -76,8 +77,8 @@ impl Listed {
         if port.is_some() || source.is_some() {
             return Ok(());
         }
-        // A GET over all ports must take from the port that was bypassed too often, or, if there is none,
-        // from the one with the most urgent message.
+        // A GET over all ports must take from the port that was bypassed too often, or, if there is none, from the port
+        // with the most urgent message.
         let open = || self.buffers.iter().filter(|buffer| !buffer.handled && !buffer.waiting.is_empty());
         let most = open().map(|buffer| buffer.bypassed.0).max().unwrap_or(0);
         let wrong = if most >= buffer.bypassed.1 {
@@ -92,8 +93,8 @@ impl Listed {
         if wrong { Err(Violation::NotMostUrgent) } else { Ok(()) }
     }
 
-    /// Judges a handler that begins for a queued message. Messages that were at their cap earlier must go first, and
-    /// so must messages of the same port that are due and more urgent.
+    /// Judges a handler that begins for a queued message. Messages that were capped earlier must go first, and so must
+    /// messages of the same port that are due and more urgent.
     fn handler_begins(&mut self, at: usize, waits: usize, now: u64) -> Result<(), Violation> {
         let is_capped =
             |buffer: &Buffer, one: &Waiting| one.rejections >= cap(&self.order, buffer.port, one.source);
@@ -129,7 +130,7 @@ impl History {
         Self { plan: Arc::clone(plan), clocks, tasks, arriving: None, events: 0, steps: 0 }
     }
 
-    /// Forgets what the tasks of a restarted node knew.
+    /// Forgets the lists of the tasks of a restarted node.
     pub fn forget(&mut self, node_state: &NodeState) {
         for task in &node_state.node.parts().tasks {
             let buffers = buffers(&self.plan.cell, task);
@@ -137,7 +138,7 @@ impl History {
         }
     }
 
-    /// Called before a node takes `input`, `elapsed` after its last one.
+    /// Called before a node takes `input`, `elapsed` ticks after its last input.
     pub fn begin(&mut self, node: usize, elapsed: Ticks, input: &NodeInput) {
         self.clocks[node] += elapsed.0;
         self.begin_anew();
@@ -155,7 +156,7 @@ impl History {
         }
     }
 
-    /// Called before a task takes `input`.
+    /// Called before a communication task takes `input`.
     pub fn begin_input(&mut self, input: &Input) {
         self.begin_anew();
         if let Input::Packet(packet) = input {
@@ -170,7 +171,7 @@ impl History {
         }
     }
 
-    /// The clock of a node, as far as a task has noticed it.
+    /// The clock of a node, as far as a task of the node has noticed the time.
     fn now(&self, node: usize, node_state: &NodeState, task: TaskId) -> u64 {
         self.clocks[node] - node_state.node.late(task).0
     }
@@ -178,7 +179,7 @@ impl History {
     /// Judges a step of a node by its effects.
     ///
     /// # Errors
-    /// The rule that the step broke.
+    /// The rule that the node's step broke.
     pub fn judge(
         &mut self,
         node: usize,
@@ -253,12 +254,12 @@ impl History {
                 Some(waits) => {
                     let one = &mut buffer.waiting[waits];
                     one.reject(&listed.order, port, steps);
-                    // `compare` reads the back-off after the step; until then the message goes before no other.
+                    // `compare` reads the penalty after the step. Until then the message goes before no other message.
                     one.not_before = now + 1;
                 }
                 None => listed.rejected = Some((peer, number, steps)),
             },
-            // A message that goes to its handler on arrival changes nothing for queued ones.
+            // A message that goes to its handler on arrival does not affect queued messages.
             Event::Interrupted => {
                 if let Some(waits) = waits {
                     return listed.handler_begins(at, waits, now);
@@ -289,7 +290,7 @@ impl History {
                     None => {}
                 }
             }
-            // `ExpiredOnTheWay` is missing here: a late copy of a queued message may expire in flight.
+            // The list leaves out `ExpiredOnTheWay`, because a late copy of a queued message may expire in flight.
             Event::Discarded(
                 reason @ (Reason::Expired
                 | Reason::Evicted
@@ -301,7 +302,7 @@ impl History {
                 let in_time = lost.is_some_and(|lost| lost.expires > now);
                 match reason {
                     Reason::Expired if in_time => return Err(Violation::ExpiredEarly),
-                    // A later copy may have more time left, so it counts as new.
+                    // A later copy of the command may have more time left, and then counts as new.
                     Reason::Expired if class == Class::Command => {
                         buffer.taken.remove(&(peer, number));
                         buffer.lapsed.insert((peer, number));
@@ -329,7 +330,7 @@ impl History {
         Ok(())
     }
 
-    /// Compares the buffers of a task with its lists. Then copies into the lists what only the buffers know.
+    /// Compares the buffers of a task with its lists. Then copies into the lists the values that only the buffers know.
     fn compare(&mut self, now: u64, task: &CommTask) -> Result<(), Violation> {
         let table = &self.plan.cell;
         let listed = &mut self.tasks[task.task().index()];

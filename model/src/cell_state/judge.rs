@@ -1,4 +1,4 @@
-//! The specification state of a cell, and the judging of its properties.
+//! The specification state of a cell, and the functions that judge its properties.
 
 use super::body::{Activation, Does, says};
 use super::plan::{CellProperty, CellScenario, Goal};
@@ -11,7 +11,7 @@ use imrs_protocol::{
     PortId, Reason, Request, Seq24, Signal, TaskId, Ticks, Usage,
 };
 
-/// Identifies a message: its source and its sequence number there.
+/// Identifies a message: its source, and its sequence number among the source's messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Name {
     pub source: TaskId,
@@ -24,20 +24,20 @@ impl Name {
     }
 }
 
-/// The specification state: what the judge must remember and no task of the cell can see.
+/// The specification state: what the judge must remember, but no task of the cell can see.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct SpecStates {
     /// The true remaining times of messages, in ticks.
     pub remaining: Vec<(Name, u8)>,
     /// A bit mask for each source: bit `i` says that the source's message `next - 1 - i` was handed over.
     pub handed: Vec<u16>,
-    /// A bit mask for each source, as `handed`, of the commands whose sender was told that they did not run.
+    /// A bit mask for each source, laid out as `handed`: the commands of which the source was told that they did not run.
     pub denied: Vec<u16>,
-    /// For each port of the task watched for fairness, how often its head was bypassed.
+    /// For each port of the task watched for fairness, how often its first message was bypassed.
     pub bypassed: Vec<u8>,
     /// How often a waiting message was rejected: receiver, port, message, count.
     pub refused: Vec<(TaskId, PortId, Name, u8)>,
-    /// For each task, the signals since the last tick.
+    /// For each task, the number of signals that it got since the last tick.
     pub signals: Vec<u8>,
     /// The facts that checks ask about and that no state machine keeps.
     pub told: PredicateState,
@@ -74,14 +74,14 @@ impl SpecStates {
     }
 }
 
-/// Whether `epoch` comes after `than`, across the wrap. Written independently of the machine's own comparison, which
-/// is under test here.
+/// Whether `epoch` comes after `than`, even if the epochs have wrapped. This does not use the state machine's comparison,
+/// because that is what is tested.
 const fn is_later(epoch: u8, than: u8) -> bool {
     epoch.wrapping_sub(than).cast_signed() > 0
 }
 
 impl CellState {
-    /// Records that a task waits, and for what.
+    /// Records that a task makes an API call, and for what it then waits.
     pub(super) fn asked(&mut self, task: usize, request: &Request) {
         self.note_asked(TaskId::from_index(task), request);
         let names_ports = self.plan.names_ports();
@@ -110,7 +110,7 @@ impl CellState {
         self.entitle(task, request);
     }
 
-    /// Records for how long the task may wait.
+    /// Records how long the wait of a task's API call may last.
     fn entitle(&mut self, task: usize, request: &Request) {
         let Some(slack) = self.plan.waits() else { return };
         let at = TaskId::from_index(task);
@@ -133,7 +133,7 @@ impl CellState {
         }
     }
 
-    /// Judges a signal to a task: the task must wait for it, and it must be allowed now.
+    /// Judges a signal to a task: the task must wait for it, and the signal must be allowed now.
     pub(super) fn told(&mut self, task: usize, signal: &Signal) -> Result<(), Violation> {
         self.count_signal(task)?;
         let top = self.bodies[task].top();
@@ -161,12 +161,12 @@ impl CellState {
                 self.bodies[task].hear(signal);
                 return if waits { Ok(()) } else { Err(Violation::SecondOutcome) };
             }
-            // A fault after a REPLY ends no wait. It only reports that the reply came too late.
+            // A fault after a REPLY ends no wait. Such a fault only reports that the reply came too late.
             Signal::Fault(Fault::Late | Fault::NothingToAnswer) if top.does == Does::Serves => return Ok(()),
             Signal::Accepted(_) if top.does == Does::Serves => return Ok(()),
             Signal::Accepted(_) if matches!(top.does, Does::Free) => return Ok(()),
             Signal::Accepted(_) if top.does == Does::Works => {}
-            // The script handles the fault, or ends in a fault of its own.
+            // A task with a script handles the fault itself, or ends because of it.
             Signal::Fault(_) if scripted => {
                 if waits {
                     self.bodies[task].resume();
@@ -220,7 +220,7 @@ impl CellState {
         Ok(())
     }
 
-    /// Judges a set of answers: each task that is marked as answered must have answered this question.
+    /// Judges a set of answers: each task that is marked as answered must have answered the task's present question.
     fn judge_answers(&self, task: usize, port: PortId, answered: u64) -> Result<(), Violation> {
         if self.plan.waits().is_none() || self.bodies[task].actor.is_some() {
             return Ok(());
@@ -235,7 +235,7 @@ impl CellState {
         if wrong { Err(Violation::WrongAnswer) } else { Ok(()) }
     }
 
-    /// Judges the end of a delay: no tick of it may be left. Only where every node counts every tick as it passes.
+    /// Judges the end of a delay: no tick of it may be left. Only if every node counts every tick as it passes.
     fn judge_delay(&self, activation: &Activation) -> Result<(), Violation> {
         let Some(slack) = self.plan.waits() else { return Ok(()) };
         let exact = self.plan.faults.drift == 0 && self.plan.faults.late == 0;
@@ -291,7 +291,7 @@ impl CellState {
         Ok(())
     }
 
-    /// Records that a task was told that its last command did not run, and judges whether that is true.
+    /// Records that a task was told that its last command did not run, and judges whether this is true.
     fn deny(&mut self, task: usize) -> Result<(), Violation> {
         if !self.plan.watches(CellProperty::DidNotRun) {
             return Ok(());
@@ -353,8 +353,8 @@ impl CellState {
         }
     }
 
-    /// Judges the epoch in which a task becomes active: it must be newer than all in which any task was active. A new
-    /// incarnation that has heard nothing is exempt: all orders of those epochs end before it can take over (D80).
+    /// Judges the epoch in which a task becomes active: it must be newer than all epochs in which any task was active. A
+    /// new incarnation that has heard of no epoch is exempt: all orders of those epochs end before it can take over (D80).
     fn judge_epoch(&mut self, task: TaskId, epoch: u32) -> Result<(), Violation> {
         let knows = self.knows_epochs(self.node_state_of(task.index()));
         let Ok(epoch) = u8::try_from(epoch) else { return Err(Violation::OldEpoch) };
@@ -365,20 +365,20 @@ impl CellState {
         if fresh || !knows { Ok(()) } else { Err(Violation::OldEpoch) }
     }
 
-    /// Whether a node knows the epochs: it never restarted, or another node has told it since.
+    /// Whether a node knows the epochs: the node never restarted, or another node has told it about them since.
     fn knows_epochs(&self, place: usize) -> bool {
         self.nodes[place].incarnation.0 == 0 || self.spec_states.heard >> place & 1 == 1
     }
 
-    /// True if the first epoch of a restarted node was never used before. False where the plan begins at another epoch.
+    /// Whether a restarted node surely begins in an unused epoch: not if the plan begins at another epoch than zero.
     fn guesses_above(&self) -> bool {
         self.plan.epoch == 0
     }
 
-    /// Judges a packet that comes out of a link, and records whether it tells the node of the epochs.
+    /// Judges a packet that comes out of a link, and records whether the packet tells the node about the epochs.
     pub(super) fn judge_arrival(&mut self, to: NodeId, packet: &Packet) -> Result<(), Violation> {
         if self.plan.incarnations() && self.plan.watches(CellProperty::OneActive) {
-            // An answer to an earlier incarnation tells the present one nothing.
+            // An answer to an earlier incarnation tells the present incarnation nothing.
             let told =
                 packet.kind != Kind::Response || packet.id.incarnation == self.nodes[to.index()].incarnation;
             let speaker = self.node_state_of(packet.source.index());
@@ -392,8 +392,8 @@ impl CellState {
 
     /// Judges a node's step: its transit buffer must not keep a status and drop a command for lack of space (D60).
     ///
-    /// Each step offers the buffer one packet (several only if retransmissions are due at a tick, and these are
-    /// commands). So every status that the buffer holds or has sent after the step was in it when it dropped the command.
+    /// Each step offers the buffer one packet (several only if retransmissions are due at a tick, and these are commands).
+    /// So every status that it holds or has sent after the step was in the buffer when it dropped the command.
     pub(super) fn judge_step(&self, i: usize, effects: &[Effect]) -> Result<(), Violation> {
         if !self.plan.watches(CellProperty::Eviction) {
             return Ok(());
@@ -404,7 +404,7 @@ impl CellState {
             let for_space = matches!(seen.event, Event::Discarded(Reason::Refused | Reason::Evicted));
             let port = cell.port(seen.port);
             let command = port.is_some_and(|p| p.decl.class == Class::Command);
-            // Only tasks that receive here count: answers and refusals travel towards senders.
+            // Only tasks that receive on this node count, because answers and refusals travel towards senders.
             let receives = |usage: Usage| matches!(usage, Usage::Receive | Usage::Response);
             let asks = port.and_then(|p| p.party(seen.peer)).is_some_and(|party| receives(party.usage));
             let delay = cell.location(seen.peer).and_then(|to| cell.path_bound(NodeId::from_index(i), to));
@@ -419,7 +419,7 @@ impl CellState {
         if status { Err(Violation::CommandEvicted) } else { Ok(()) }
     }
 
-    /// Judges all waits after a tick: none may outlast its time_out.
+    /// Judges all waits after a tick: no wait may outlast its time_out.
     pub(super) fn judge_waits(&mut self) -> Result<(), Violation> {
         if self.plan.waits().is_none() {
             return Ok(());
@@ -465,7 +465,7 @@ impl CellState {
         self.reach(Goal::BuffersFull, stuck && self.in_flight.is_empty())
     }
 
-    /// Judges queued messages: none may have more time left than its sender waits, or stay longer than that.
+    /// Judges queued messages: none may have more time left than its sender still waits, or stay queued after that wait.
     fn judge_held(&self) -> Result<(), Violation> {
         let watch = |watch| self.plan.watches(watch);
         let (longer, at_all) = (watch(CellProperty::TimeToLive), watch(CellProperty::Expires));

@@ -1,7 +1,7 @@
 //! The unpacked cell state: whole nodes with several tasks each, relays, links of limited capacity, drift.
 //!
-//! Like a `World`, a `CellState` is only a scratch pad over packed states (`canon`). A node is the protocol's own [`Node`].
-//! A [`plan::TaskPlan`] says what a task does, and a [`plan::CellProperty`] is a property.
+//! Like a `World`, a `CellState` is only working memory for packed states (`canon`). A node is the protocol's own [`Node`].
+//! A [`plan::TaskPlan`] says what a task does, and a [`plan::CellProperty`] what is judged.
 
 pub(crate) mod body;
 pub(crate) mod canon;
@@ -45,7 +45,7 @@ use wires::Wires;
 pub enum Move {
     /// A tick passes. Two bits for each node say how it counts the tick: once, not at all, twice, or later.
     Tick(u16),
-    /// The packet at this position arrives, charged this many ticks above its link's bound.
+    /// A packet arrives: its position, and how many ticks above its link's bound it is charged.
     Deliver(u8, u8),
     /// The packet at this position is lost.
     Lose(u8),
@@ -63,23 +63,23 @@ pub enum Move {
     Take(u8, u8),
     /// The task's script gets this choice.
     Choose(u8, u8),
-    /// The action that this activation of the task's script began ends.
+    /// An action of a task's script ends: the task, and the activation that began the action.
     Acted(u8, u8),
 }
 
-/// A packet in flight on a link.
+/// A packet that is in flight on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct InFlight {
     pub packet: Packet,
-    /// Position among the plan's directed links.
+    /// The link's position among the plan's directed links.
     pub link: u8,
-    /// The time since it entered the link, including its wait for a paused node.
+    /// The time since the packet entered the link, including its wait for a paused node.
     pub age: Ticks,
-    /// The incarnation of the node that sent it over this link, as its envelope says.
+    /// The incarnation of the node that sent the packet over this link, as the packet's envelope says.
     pub incarnation: Incarnation,
 }
 
-/// The unpacked cell state: whole nodes, packets in flight, specification state. Transitions work on it.
+/// The unpacked cell state: whole nodes, packets in flight, specification state. Transitions change this form.
 #[derive(Clone, Debug)]
 pub(crate) struct CellState {
     pub plan: Arc<CellScenario>,
@@ -89,33 +89,33 @@ pub(crate) struct CellState {
     pub in_flight: Vec<InFlight>,
     pub spec_states: judge::SpecStates,
     pub faults: plan::Faults,
-    /// Packets that each directed link took in this tick.
+    /// How many packets each directed link took in this tick.
     pub used: Vec<u8>,
     pub violation: Option<Violation>,
-    /// The rounds (by port) and sequences (by task) that loaded numbers are relative to.
+    /// The rounds, by port, to which loaded rounds are relative. The next field has the sequence numbers, by task.
     pub rounds: Vec<Round>,
     pub sequences: Vec<Seq24>,
-    /// What the last transition showed, for charts.
+    /// What happened in the last transition, for charts.
     pub log: Vec<Effect>,
     pub keep_log: bool,
-    /// Ticks passed since this was last reset.
+    /// Ticks that have passed since this field was last reset.
     pub passed: u32,
     spare: Vec<Effect>,
-    /// The last contents byte of the arriving packet: the epoch, if it is an order.
+    /// The last contents byte of the arriving packet: the epoch, if the packet is an order.
     arriving: u8,
-    /// The tasks whose scripts have inputs, in the order of their first ones. Empty between transitions.
+    /// The tasks whose scripts have inputs, in the order of each script's first input. Empty between transitions.
     ready: VecDeque<usize>,
     /// For each port, how far `rounds` has moved from the first round, at most [`FAR_BEHIND`]. Counted only in a cell
     /// whose nodes may restart.
     pub behind: Vec<u8>,
     /// The steps that scripts took, for the checker of cells, which goes on after a script's end; `None` in other searches.
     pub turns: Option<Vec<script::ScriptReaction>>,
-    /// Whether inputs of a node's tasks queue, so that the search takes them in every order (D170).
+    /// Whether inputs of a node's tasks queue, so that the search can let the tasks take them in every order (D170).
     orders: bool,
-    /// The history of the run, if it is followed from its start.
+    /// The history of the run; `None` if the run is not followed from its start.
     history: Option<Box<History>>,
-    /// Whether the invariants of the machines are checked after each step, and what the search leaves out is compared. Only the
-    /// search of a cell turns it off, for the states that are not in its sample.
+    /// Whether each step checks the invariants of the state machines, and compares what the search leaves out. Only the
+    /// search of a cell turns this off, for states that are not in its sample.
     pub is_sampled: bool,
     /// Whether times are symbols: then fused steps are not compared, because a zone packs one state at a time.
     pub is_symbolic: bool,
@@ -130,10 +130,10 @@ pub(crate) enum Effect {
     Seen(u8, Option<TaskId>, Observation),
 }
 
-/// A new incarnation this many rounds behind behaves like one farther behind: the machine only compares rounds.
+/// An incarnation this many rounds behind behaves like one that is farther behind: rounds are only compared.
 const FAR_BEHIND: u8 = 3;
 
-/// Most fused steps in one transition: more would be a loop in which no time passes.
+/// The greatest number of fused steps in one transition: more steps would be a loop in which no time passes.
 const FUSED: usize = 64;
 
 impl CellState {
@@ -150,7 +150,7 @@ impl CellState {
         cell_state
     }
 
-    /// The initial state for the checker of cells, which judges scripts itself and goes on after a script's end.
+    /// The initial state for the checker of cells, which judges scripts itself and continues after a script has ended.
     pub(crate) fn of_cell(plan: &Arc<CellScenario>) -> Self {
         let mut cell_state = Self { orders: true, ..Self::waiting(plan) };
         let decided = plan.cell.cell().rules == Rules::default();
@@ -165,7 +165,7 @@ impl CellState {
         cell_state
     }
 
-    /// As [`of_cell`](Self::of_cell), before any script has begun.
+    /// As [`of_cell`](Self::of_cell), but no script has begun yet.
     pub(crate) fn waiting(plan: &Arc<CellScenario>) -> Self {
         Self { turns: Some(Vec::new()), ..Self::unbegun(plan) }
     }
@@ -175,8 +175,8 @@ impl CellState {
         self.history = None;
     }
 
-    /// Restarts a node of a cell in its next incarnation, which counts rounds from the first one. Its scripts have
-    /// not begun: see [`begin_all`](Self::begin_all).
+    /// Restarts a node of a cell in its next incarnation, which counts rounds from the first round on. The scripts of the
+    /// node have not begun: see [`begin_all`](Self::begin_all).
     pub(crate) fn restart_behind(&mut self, node: usize) -> Result<(), Violation> {
         let here = self.rounds.clone();
         for (round, behind) in self.rounds.iter_mut().zip(&self.behind) {
@@ -187,7 +187,7 @@ impl CellState {
         result
     }
 
-    /// Whether states hold how far the rounds of a new incarnation would be behind.
+    /// Whether states must record how far the rounds of a new incarnation would be behind.
     fn counts_behind(&self) -> bool {
         self.turns.is_some() && self.plan.incarnations()
     }
@@ -254,7 +254,7 @@ impl CellState {
         self.plan.cell.location(TaskId::from_index(task)).map_or(0, NodeId::index)
     }
 
-    /// Whether a task is on a node that is left out.
+    /// Whether a task is on a node that the search leaves out.
     fn leaves_out(&self, task: usize) -> bool {
         self.plan.leaves_out_task(TaskId::from_index(task))
     }
@@ -319,8 +319,8 @@ impl CellState {
         }
     }
 
-    /// Completes a transition: packets leave buffers that have become free, and an eager task goes on while it is the
-    /// only one. If several tasks are eager, the search chooses which one goes first.
+    /// Completes a transition: packets leave buffers whose links have become free, and an eager task makes its next step if
+    /// it is the only eager one. If several tasks are eager, the search chooses which one goes first.
     pub(crate) fn settle(&mut self) -> Result<(), Violation> {
         for _ in 0..FUSED {
             self.flush()?;
@@ -353,7 +353,7 @@ impl CellState {
         Ok(())
     }
 
-    /// Writes the task's present epoch into an order.
+    /// Writes the task's present epoch into an order that the task gives.
     fn in_epoch(&self, task: usize, request: Request) -> Request {
         let machine = self.nodes[self.node_state_of(task)].node.task(TaskId::from_index(task));
         match (request, machine.and_then(CommTask::epoch)) {
@@ -365,7 +365,7 @@ impl CellState {
         }
     }
 
-    /// Whether the task can step by itself now. It gives orders only while it is active.
+    /// Whether the task can step by itself now. A task gives orders only while it is active.
     fn may_act(&self, task: usize) -> bool {
         let (body, plan) = (&self.bodies[task], &self.plan.tasks[task]);
         let machine = self.nodes[self.node_state_of(task)].node.task(TaskId::from_index(task));
@@ -396,7 +396,7 @@ impl CellState {
         self.step(to.index(), NodeInput::Packet { from, packet: carried.packet, charge })
     }
 
-    /// Steps one node, puts its packets on its links and judges the effects.
+    /// Steps one node, puts the node's packets on its links, and judges the effects.
     pub(crate) fn step(&mut self, i: usize, input: NodeInput) -> Result<(), Violation> {
         let owed = std::mem::take(&mut self.nodes[i].owed);
         if let Some(history) = &mut self.history {
@@ -418,7 +418,7 @@ impl CellState {
         let mut effects = std::mem::take(&mut self.spare);
         let mut open = self.open(i);
         work(&mut self.nodes[i].node, &mut Wires { effects: &mut effects, open: &mut open, node: small(i) });
-        // All sends are recorded before any effect is judged: the machine has assigned all its numbers by now.
+        // All sends are recorded before any effect is judged: the node has assigned all its numbers by now.
         effects.iter().for_each(|effect| self.sent(effect));
         let result = effects.iter().try_for_each(|effect| self.follow(i, effect));
         let result = result.and_then(|()| self.judge_step(i, &effects));

@@ -68,7 +68,7 @@ impl CellState {
             let bound = Ticks(u64::from(self.links[usize::from(carried.link)].2));
             let at_its_end = carried.age >= bound;
             match self.plan.transfer {
-                // Delivering either of two equal packets gives the same state.
+                // Delivering one of two equal packets gives the same state as delivering the other.
                 Transfer::Any if i > 0 && self.in_flight[i - 1] == *carried => continue,
                 Transfer::Exact if !at_its_end || self.in_flight[..i].iter().any(same) => continue,
                 Transfer::Any | Transfer::Exact => {}
@@ -78,7 +78,7 @@ impl CellState {
             if self.faults.over > 0 {
                 moves.push(Move::Deliver(i, 1));
             }
-            // No task can notice a loss before the packet's last tick.
+            // No task can notice the loss of a packet before the last tick at which the packet could arrive.
             if self.faults.loss > 0 && at_its_end {
                 moves.push(Move::Lose(i));
             }

@@ -1,4 +1,4 @@
-//! A node of an unpacked state: what a world and a cell state have in common.
+//! A node of an unpacked state: the part that a world and a cell state have in common.
 
 use imrs_protocol::{Incarnation, Node, NodeId, NodeTable, Walk};
 use std::cmp::Ordering;
@@ -12,14 +12,15 @@ pub(crate) struct NodeState {
     pub incarnation: Incarnation,
     /// The incarnation in which this node knows each other node.
     pub known: Vec<Incarnation>,
-    /// Ticks that have passed and that the node has not noticed.
+    /// Ticks that have passed and that the node has not noticed yet.
     pub owed: u8,
-    /// Ticks since the node was paused; `None` if it is not paused. Only in a cell: see `cell::run_state::pause`.
+    /// Ticks since the node was paused; `None` if it is not paused. Only used in the search of a cell: see
+    /// `cell::run_state::pause`.
     pub asleep: Option<u32>,
 }
 
 impl NodeState {
-    /// A node at its first start, among as many nodes as `nodes` says.
+    /// A node at its first start, in a cell with `nodes` nodes.
     pub fn new(table: NodeTable, nodes: usize, transit: u16) -> Self {
         let first = Incarnation(0);
         let node = Node::new(table.clone(), first, false, transit);
@@ -34,7 +35,8 @@ impl NodeState {
     }
 
     /// Compares the incarnation in an envelope with the one that the node knows of its sender. An envelope of a new
-    /// incarnation announces it before any of its packets is handed on (D49); packets of an old one are dropped.
+    /// incarnation is reported before any packet of that incarnation is handed on (D49). Packets of an older incarnation
+    /// are dropped.
     pub fn hears(&mut self, from: NodeId, incarnation: Incarnation) -> Heard {
         let known = std::mem::replace(&mut self.known[from.index()], incarnation);
         match incarnation.0.cmp(&known.0) {
@@ -57,7 +59,7 @@ impl NodeState {
     }
 }
 
-/// What the incarnation in an envelope is to the node that it reaches.
+/// How the incarnation in an envelope relates to the incarnation that the receiving node knows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Heard {
     Old,

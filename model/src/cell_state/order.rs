@@ -8,12 +8,12 @@ use crate::state::Violation;
 use imrs_protocol::rules::Aging;
 use imrs_protocol::{Call, Delivery, PortId, ServiceOrder, TaskId};
 
-/// Most activations of a task: its thread, and two handlers more than `order` has ranks (D15).
+/// The greatest number of activations of a task: its thread, and two handlers more than `order` has ranks (D15).
 const DEEPEST: usize = ServiceOrder::LEVELS + 3;
 
 impl CellState {
-    /// Records that a message was rejected. At its cap a message outranks the thread, but never a handler: so the
-    /// bound on rejections is only for tasks whose handlers do not wait (D76).
+    /// Records that a message was rejected. A capped message outranks the thread, but never a handler. So the bound on
+    /// rejections holds only for tasks whose handlers do not wait (D76).
     pub(super) fn refused(&mut self, task: TaskId, port: PortId, name: Name) -> Result<(), Violation> {
         if !self.plan.counts_refusals() {
             return Ok(());
@@ -26,7 +26,7 @@ impl CellState {
             entries.push((task, port, name, 0));
         }
         let count = &mut entries[at].3;
-        // If the plan has no bound for rejections, rejections beyond the cap make no difference.
+        // If the plan has no bound for rejections, rejections beyond the cap need not be counted.
         *count = if most.is_some() { count.saturating_add(1) } else { count.saturating_add(1).min(cap) };
         if most.is_some_and(|most| *count > most) { Err(Violation::RefusedTooOften) } else { Ok(()) }
     }
@@ -37,7 +37,7 @@ impl CellState {
         self.spec_states.refused.retain(|e| (e.0, e.1, e.2) != gone);
     }
 
-    /// How often the message of a call was rejected, as far as aging counts it.
+    /// How often the message of a call was rejected, as far as aging counts rejections.
     fn refusals(&self, task: usize, call: &Call) -> u8 {
         let Call::Message(delivery) = call else { return 0 };
         if self.plan.cell.cell().rules.aging != Aging::Bounded {
@@ -57,7 +57,7 @@ impl CellState {
         }
     }
 
-    /// Judges an interruption by the declared order and the rejections seen (R16, D15, D58).
+    /// Judges an interruption by the declared `order` and the rejections that were counted (R16, D15, D58).
     pub(super) fn judge_interrupt(&self, task: usize, call: &Call) -> Result<(), Violation> {
         let body = &self.bodies[task];
         let top = body.top();
@@ -82,7 +82,8 @@ impl CellState {
         if outranks { Ok(()) } else { Err(Violation::NotOutranking) }
     }
 
-    /// The rank at which a handler runs: that of its message, but never a later one than that of what it interrupts.
+    /// The rank at which a handler runs: the rank of its message, but never a later rank than that of the activation that
+    /// it interrupts.
     pub(super) fn rank_of_handler(&self, task: usize, call: &Call) -> u8 {
         let body = &self.bodies[task];
         let below =
@@ -90,7 +91,8 @@ impl CellState {
         self.base_rank(task, call).min(below)
     }
 
-    /// Counts bypasses: a GET over all ports that takes one head bypasses the heads of the other ports (D58).
+    /// Counts bypasses: a GET over all ports that takes the first message of one port bypasses the other ports that have
+    /// messages (D58).
     pub(super) fn judge_bypass(&mut self, task: usize, delivery: &Delivery) -> Result<(), Violation> {
         let Some((watched, most, _)) = self.plan.fair() else { return Ok(()) };
         let at = TaskId::from_index(task);

@@ -1,4 +1,5 @@
-//! Interleavings within a node: the inputs of its tasks queue until the search takes them, in every order (D170).
+//! Interleavings within a node: the inputs of its tasks are queued, and the search tries every order in which the tasks may
+//! take them (D170).
 
 use super::CellState;
 use super::plan::CellScenario;
@@ -8,12 +9,12 @@ use imrs_protocol::{Node, NodeInput, TaskId, Ticks};
 use std::sync::Arc;
 
 impl CellState {
-    /// Lets time pass for a node. What its tasks have to do then queues as their input.
+    /// Lets time pass for a node. If a task then has something to do, the passed time is queued as its input.
     pub(super) fn let_time_pass(&mut self, i: usize, ticks: Ticks) -> Result<(), Violation> {
         self.drive_in_order(i, |node, out| node.let_pass(node.now() + ticks, out))
     }
 
-    /// Drives a node. The effects on its own tasks queue as their inputs.
+    /// Drives a node. Its effects on the node's own tasks are queued as inputs of these tasks.
     fn drive_in_order(
         &mut self,
         i: usize,
@@ -26,7 +27,7 @@ impl CellState {
         })
     }
 
-    /// A node takes an input. The effects on its own tasks queue as their inputs.
+    /// Lets a node take an input. The effects on the node's own tasks are queued as inputs of these tasks.
     pub(super) fn step_in_order(&mut self, i: usize, input: NodeInput) -> Result<(), Violation> {
         self.drive_in_order(i, |node, out| {
             let before = node.inputs();
@@ -41,7 +42,7 @@ impl CellState {
         })
     }
 
-    /// Begins a script, with all its effects within the node: one thread does it all.
+    /// Begins a script, with all its effects within the node, because one thread does all of this.
     pub(crate) fn begin_whole(&mut self, task: usize) -> Result<(), Violation> {
         let i = self.node_state_of(task);
         let before = self.nodes[i].node.inputs();
@@ -54,7 +55,7 @@ impl CellState {
         Err(Violation::Zeno)
     }
 
-    /// From here on a step includes its effects within its node.
+    /// From here on, a step of a node includes the effects within the node.
     pub(super) fn fuse(&mut self) {
         self.plan = Arc::new(CellScenario { fused: true, ..(*self.plan).clone() });
         self.orders = false;
@@ -83,7 +84,7 @@ impl CellState {
         self.nodes[i].node.late(TaskId::from_index(task)) == Ticks::ZERO
     }
 
-    /// A task of a node takes the queued input at a position.
+    /// Lets a task of a node take the queued input at this position.
     pub(crate) fn take(&mut self, i: usize, at: usize) -> Result<(), Violation> {
         if let (Some(history), Some((_, input))) = (&mut self.history, self.nodes[i].node.waiting(at)) {
             history.begin_input(&input);

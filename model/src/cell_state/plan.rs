@@ -4,12 +4,12 @@ use imrs_protocol::script::{Predicate, Program, Term};
 use imrs_protocol::{CellTable, NodeId, NodeTable, PortId, ServiceOrder, Target, TaskId, Ticks};
 use std::sync::Arc;
 
-/// How often something is done.
+/// How often a task does something.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Times {
     /// At most this often.
     Most(u8),
-    /// Without limit.
+    /// Without a limit.
     Endless,
 }
 
@@ -18,48 +18,48 @@ pub enum Times {
 pub enum Errand {
     /// The thread does nothing: it never makes an API call.
     Rest,
-    /// Sends messages or queries.
+    /// The thread sends messages or queries.
     Send {
-        /// The port.
+        /// The port on which the task sends.
         port: PortId,
-        /// The receivers.
+        /// The receivers of each message.
         to: Target,
         /// How often the task sends.
         times: Times,
-        /// Fewest ticks between two sends.
+        /// The least number of ticks between two sends.
         every: u8,
     },
-    /// Sends status messages under its lease, while it is active (D61).
+    /// The thread sends status messages under its lease, while it is active (D61).
     Order {
-        /// The port.
+        /// The port on which the task sends orders.
         port: PortId,
         /// How often the task sends.
         times: Times,
     },
-    /// Receives messages, and serves each for the ticks of [`TaskPlan::service`].
+    /// The thread receives messages, and serves each for the ticks of [`TaskPlan::service`].
     Receive {
-        /// The port; `None`: the most urgent message of all ports.
+        /// The port; `None` takes the most urgent message of all ports.
         port: Option<PortId>,
-        /// How long it waits for a message; `None`: without limit.
+        /// How long the thread waits for a message; `None` waits without a limit.
         time_out: Option<Ticks>,
     },
-    /// Runs an action, which handlers may interrupt.
+    /// The thread runs an action, which handlers may interrupt.
     Work {
-        /// Fewest ticks of an action.
+        /// The least number of ticks of an action.
         least: u8,
-        /// Most ticks of an action.
+        /// The greatest number of ticks of an action.
         most: u8,
         /// How often the task runs an action.
         times: Times,
     },
-    /// Reaches a waitfor.
+    /// The thread reaches a waitfor.
     Meet {
-        /// The port.
+        /// The port of the waitfor.
         port: PortId,
         /// How often the task reaches the waitfor.
         times: Times,
     },
-    /// Delays.
+    /// The thread delays.
     Delay {
         /// The length of a delay.
         length: Ticks,
@@ -73,22 +73,22 @@ pub enum Errand {
 pub struct TaskPlan {
     /// What the task's thread does when it is idle.
     pub errand: Errand,
-    /// The ports that it has handlers for.
+    /// The ports for which the task has handlers.
     pub handles: Vec<PortId>,
     /// The task's `order` of service.
     pub order: ServiceOrder,
-    /// For how many ticks, at least and at most, the task or its handler serves a message before it answers.
+    /// For how many ticks, at least and at most, the task or its handler serves a message before answering it.
     pub service: (u8, u8),
-    /// A command that a handler may send before it answers.
+    /// A port on which a handler may send a command before it answers.
     pub nested: Option<PortId>,
-    /// Whether the task is eager: its thread does the next errand at once, not at any time.
+    /// Whether the task is eager: its thread begins the next errand at once, and not at any time later.
     pub hurry: bool,
-    /// The program that it runs instead of an errand.
+    /// The program that the task runs instead of an errand.
     pub script: Option<Arc<Program>>,
 }
 
 impl TaskPlan {
-    /// A task with this errand and no handlers. It acts and answers at any time.
+    /// A task with this errand and no handlers. The task may act and answer at any time.
     #[must_use]
     pub fn new(errand: Errand) -> Self {
         let order = ServiceOrder::default();
@@ -121,7 +121,7 @@ impl TaskPlan {
         Self { service: (least, most), ..self }
     }
 
-    /// Has handlers for these ports.
+    /// The same task, with handlers for these ports.
     #[must_use]
     pub fn handling(self, ports: &[PortId]) -> Self {
         Self { handles: ports.to_vec(), ..self }
@@ -133,27 +133,27 @@ impl TaskPlan {
         Self { order, ..self }
     }
 
-    /// Its handlers may send a command on this port before they answer.
+    /// The same task, whose handlers may send a command on this port before they answer.
     #[must_use]
     pub fn nesting(self, port: PortId) -> Self {
         Self { nested: Some(port), ..self }
     }
 }
 
-/// How many faults there may be.
+/// The greatest number of faults of each kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Faults {
-    /// Lost packets; [`u8::MAX`]: any number.
+    /// The number of packets that are lost; [`u8::MAX`] stands for any number.
     pub loss: u8,
-    /// Duplicated packets.
+    /// The number of packets that are duplicated.
     pub dup: u8,
-    /// Crashes; a crashed node may restart, in its next incarnation.
+    /// The number of crashes. A crashed node may restart in its next incarnation.
     pub crash: u8,
-    /// Ticks that a node's clock leaves out or counts twice.
+    /// The number of ticks that some node's clock leaves out or counts twice.
     pub drift: u8,
-    /// Ticks that a node notices only at the next tick or at its next input.
+    /// The number of ticks that a node notices only at the next tick or at its next input.
     pub late: u8,
-    /// Packets that are charged one tick more than their link's bound (D20).
+    /// The number of packets that are charged one tick more than their link's bound (D20).
     pub over: u8,
 }
 
@@ -162,7 +162,7 @@ pub struct Faults {
 pub enum Transfer {
     /// Packets take any time up to the link's bound, and may overtake each other.
     Any,
-    /// In exactly the link's bound, in the order they left.
+    /// Packets take exactly the link's bound, and arrive in the order in which they left.
     Exact,
 }
 
@@ -174,7 +174,7 @@ pub enum CellProperty {
         /// Ticks that drifting clocks may add.
         slack: u8,
     },
-    /// No queued message has more time left than its sender waits for it.
+    /// No queued message has more time left than its sender still waits.
     TimeToLive,
     /// No message stays queued after its sender's time_out.
     Expires,
@@ -187,55 +187,55 @@ pub enum CellProperty {
     AtMostOnce,
     /// A command whose sender is told that it was refused, or never sent, has not run and does not run later.
     DidNotRun,
-    /// A handler runs only when it outranks what it interrupts.
+    /// A handler runs only if it outranks the activation that it interrupts.
     Order,
-    /// At one task, a port's head is bypassed and a message is rejected at most this often.
+    /// At one task, a port is bypassed, and a message is rejected, at most this often.
     Fair {
-        /// The task.
+        /// The task that is watched.
         task: TaskId,
-        /// Most bypasses of a head by GETs over all ports.
+        /// The greatest number of bypasses of a port by GETs over all ports.
         bypasses: u8,
-        /// Most rejections of one message.
+        /// The greatest number of rejections of one message.
         refusals: u8,
     },
     /// No message of this port is dropped, and no wait on it ends by its time_out.
     Served {
-        /// The port.
+        /// The port that is watched.
         port: PortId,
     },
-    /// No command that can still arrive is dropped for space while its transit buffer holds a status message (D60).
+    /// No command that can still arrive is dropped for space while the same transit buffer holds a status message (D60).
     Eviction,
     /// Between two ticks every task gets at most `signals` signals.
     Zeno {
-        /// The most signals.
+        /// The greatest number of signals between two ticks.
         signals: u8,
     },
     /// Of the tasks of a couple at most one is active (D61).
     OneActive,
-    /// A task that has received an order of one epoch executes none of an older one (D61). Orders carry an epoch.
+    /// A task that has received an order of one epoch executes no order of an older epoch (D61). Orders carry an epoch.
     FencedOrders,
     /// The search must reach this goal, as a counterexample to "never"; otherwise the other properties hold vacuously.
     Reach(Goal),
 }
 
-/// A goal for [`CellProperty::Reach`].
+/// An event that the search must reach: see [`CellProperty::Reach`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Goal {
     /// A handler interrupts a handler.
     Nested,
-    /// A source hears that a relay refused its command.
+    /// The source of a command learns that a relay refused it.
     RefusedOnTheWay,
-    /// A task is told that its command was refused.
+    /// A task learns that its command was refused.
     Refused,
-    /// A task is told that its command was never sent.
+    /// A task learns that its command was never sent.
     Unsent,
     /// A command is answered.
     Answered,
-    /// A query to several comes back with every answer.
+    /// A query to several tasks ends with an answer of each.
     AllAnswered,
-    /// Each end of a link waits for room in the buffer of the other end.
+    /// The nodes at both ends of a link wait for space in the buffer of the other node.
     BuffersFull,
-    /// The second task is active: it took over.
+    /// The second task of the couple is active, because it took over.
     TookOver,
     /// A lease ends.
     Fenced,
@@ -243,7 +243,7 @@ pub enum Goal {
     Left,
 }
 
-/// All that the search of a cell needs.
+/// Everything that a search needs to explore a cell.
 #[derive(Clone, Debug)]
 pub struct CellScenario {
     /// The cell's table.
@@ -254,11 +254,11 @@ pub struct CellScenario {
     pub transit: u16,
     /// How many packets each direction of a link takes in one tick; `None`: any number.
     pub room: Option<u8>,
-    /// Whether a link takes a packet only if the next node's transit buffer has room for it.
+    /// Whether a link takes a packet only if the next node's transit buffer has space for it.
     pub pressure: bool,
     /// How packets cross links.
     pub transfer: Transfer,
-    /// Faults.
+    /// The faults that may happen.
     pub faults: Faults,
     /// The properties that are checked.
     pub watches: Vec<CellProperty>,
@@ -274,7 +274,7 @@ pub struct CellScenario {
     pub jumps: bool,
     /// For each node, how many ticks its clock is ahead.
     pub clocks: Vec<u64>,
-    /// The first epoch of couples and their actuators: even. A restarted node begins with the machine's own.
+    /// The first epoch of couples and actuators: even. A restarted node begins with the one of the state machine.
     pub epoch: u8,
     /// A mask of the nodes that are left out: they are down for ever, and neither they nor their tasks are packed.
     pub(crate) left_out: u64,
@@ -305,31 +305,31 @@ impl CellScenario {
         }
     }
 
-    /// Adds a property.
+    /// Adds a property to be checked.
     #[must_use]
     pub fn watching(mut self, watch: CellProperty) -> Self {
         self.watches.push(watch);
         self
     }
 
-    /// The table as `node` sees it.
+    /// The table of the cell as `node` sees it.
     #[must_use]
     pub fn table(&self, node: NodeId) -> NodeTable {
         NodeTable::new(Arc::clone(&self.cell), node)
     }
 
-    /// How many nodes there are.
+    /// The number of nodes of the cell.
     #[must_use]
     pub fn nodes(&self) -> usize {
         self.cell.cell().nodes.len()
     }
 
-    /// Whether a node is left out.
+    /// Whether the search leaves out a node.
     pub(crate) const fn leaves_out(&self, node: usize) -> bool {
         self.left_out != 0 && node < 64 && self.left_out >> node & 1 == 1
     }
 
-    /// Whether a task is on a node that is left out.
+    /// Whether a task is on a node that the search leaves out.
     pub(crate) fn leaves_out_task(&self, task: TaskId) -> bool {
         self.left_out != 0 && self.leaves_out(self.cell.location(task).map_or(0, NodeId::index))
     }
@@ -362,7 +362,7 @@ impl CellScenario {
             .find_map(|w| if let CellProperty::Stale { slack } = *w { Some(slack) } else { None })
     }
 
-    /// By how many ticks the kept true remaining times of messages exceed the declared ones. `None`: no such times are kept.
+    /// If true remaining times of messages are kept: by how many ticks they exceed the declared times. `None` if not.
     pub(crate) fn times_messages(&self) -> Option<u8> {
         let held = [CellProperty::TimeToLive, CellProperty::Expires];
         self.stale().or_else(|| held.into_iter().any(|watch| self.watches(watch)).then_some(0))
@@ -396,7 +396,7 @@ impl CellScenario {
         self.fair().is_some() || self.watches(CellProperty::Order)
     }
 
-    /// The predicates of its checks.
+    /// The predicates that the plan's checks read.
     pub(crate) fn predicates(&self) -> impl Iterator<Item = Predicate> {
         self.checks.iter().flatten().filter_map(|term| if let Term::Is(it) = term { Some(*it) } else { None })
     }

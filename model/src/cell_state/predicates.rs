@@ -1,15 +1,15 @@
-//! Predicates of checks about a whole cell, evaluated on the machines and on specification state (D45).
+//! Predicates of checks about a whole cell, evaluated on the communication tasks and on specification state (D45).
 
 use super::CellState;
 use super::plan::CellScenario;
 use imrs_protocol::script::{Activity, Predicate, Reading, Term};
 use imrs_protocol::{CommTask, PortId, Request, Round, TaskId};
 
-/// The specification state of predicates. Empty if no check asks for it.
+/// The specification state of predicates. It is empty if no check asks for predicates.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct PredicateState {
-    /// For each member of a waitfor that checks name: whether it reached the waitfor in this incarnation. If its node
-    /// is down: whether the member had arrived when the node crashed.
+    /// For each member of a waitfor that checks name: whether the member has reached the waitfor in this incarnation. If
+    /// the member's node is down: whether the member had arrived when the node crashed.
     pub reached: Vec<(PortId, TaskId, bool)>,
     /// Whether the last request of the task on the port was answered.
     pub answered: Vec<(TaskId, PortId, bool)>,
@@ -36,7 +36,7 @@ impl PredicateState {
         told
     }
 
-    /// The flags, for a packed state.
+    /// All flags of the predicates, in the order of the packed state.
     pub fn flags_mut(&mut self) -> impl Iterator<Item = &mut bool> {
         let reached = self.reached.iter_mut().map(|(.., flag)| flag);
         reached.chain(self.answered.iter_mut().map(|(.., flag)| flag))
@@ -50,7 +50,7 @@ impl PredicateState {
 }
 
 impl CellState {
-    /// Records an API call of a task, if checks ask about it.
+    /// Records an API call of a task, if checks ask about such a call.
     pub(super) fn note_asked(&mut self, task: TaskId, request: &Request) {
         match *request {
             Request::Arrive { port, .. } => {
@@ -71,7 +71,8 @@ impl CellState {
         }
     }
 
-    /// Records a crash: keeps where the node's tasks had arrived, drops their answers. Call it while the node is up.
+    /// Records a crash: keeps at which waitfors the node's tasks had arrived, and drops their answers. Call it while the
+    /// node is up.
     pub(crate) fn note_crash(&mut self, node: usize) {
         let arrived: Vec<bool> = self
             .spec_states
@@ -93,7 +94,7 @@ impl CellState {
         }
     }
 
-    /// Records a restart: the node's tasks have arrived nowhere.
+    /// Records a restart: the node's tasks have not arrived at any waitfor.
     pub(crate) fn note_restart(&mut self, node: usize) {
         for i in 0..self.spec_states.told.reached.len() {
             if self.node_state_of(self.spec_states.told.reached[i].1.index()) == node {
@@ -135,22 +136,23 @@ impl CellState {
         })
     }
 
-    /// Whether the task reached the waitfor and no member has begun a later meeting there since.
+    /// Whether the task reached the waitfor and no member has begun a later meeting at this waitfor since.
     fn has_arrived(&self, port: PortId, task: TaskId) -> bool {
         let reached = self.spec_states.told.reached.iter().filter(|&&(at, _, flag)| at == port && flag);
         let rounds: Vec<(TaskId, Option<Round>)> = reached
             .map(|&(_, member, _)| (member, self.machine(member).and_then(|machine| machine.announced(port))))
             .collect();
         let newest = rounds.iter().filter_map(|&(_, round)| round).reduce(Round::fresher);
-        // If the node of a task is down, the flag alone counts.
+        // If the node of a task is down, only the flag counts.
         rounds.iter().any(|&(member, round)| member == task && (round.is_none() || round == newest))
     }
 
-    /// Whether a task is active: its node is up, and it has its lease if it needs one. While a node is paused, its
-    /// lease still ends on time, unnoticed by the task: the robot's driver stops the action then (D149).
+    /// Whether a task is active: its node is up, and the task has its lease if it needs one. While a node is paused, a
+    /// task's lease still ends on time, unnoticed by the task: the robot's driver stops the action then (D149).
     pub(crate) fn is_active(&self, task: TaskId) -> bool {
         let Some(node_state) = self.nodes.get(self.node_state_of(task.index())) else { return false };
-        // Time that the machine has not noticed yet: that of a pause, or of this tick if it is still a queued input.
+        // The time that the communication task has not noticed yet: the time of a pause, or of this tick if that is still a
+        // queued input.
         let unnoticed = u64::from(node_state.asleep.unwrap_or(0)) + node_state.node.late(task).0;
         self.machine(task).is_some_and(|machine| {
             machine.is_active() && machine.lease_left().is_none_or(|left| left.0 > unnoticed)

@@ -5,7 +5,7 @@ use crate::state::Violation;
 use imrs_protocol::NodeId;
 
 impl CellState {
-    /// How many packets each link of a node still takes.
+    /// For each link of a node, how many packets the link still takes.
     pub(super) fn open(&self, i: usize) -> Vec<(NodeId, u8)> {
         let links = self.links.iter().enumerate().filter(|(_, (from, ..))| from.index() == i);
         let left = |(at, &(_, to, _)): (usize, &(NodeId, NodeId, u8))| {
@@ -15,7 +15,7 @@ impl CellState {
         links.map(left).collect()
     }
 
-    /// How many more packets a node's transit buffer surely has room for. Packets in flight to it count as held.
+    /// How many more packets a node's transit buffer surely has space for. Packets in flight to this node count as stored.
     pub(super) fn space(&self, to: NodeId) -> u8 {
         let held = self.nodes[to.index()].node.parts().transit.len();
         let coming = self.in_flight.iter().filter(|c| self.links[usize::from(c.link)].1 == to).count();

@@ -1,4 +1,4 @@
-//! Tasks that run a script, the protocol's own [`Script`]: the search takes its choices and ends its actions.
+//! Tasks that run a script, the protocol's own [`Script`]: the search makes its choices and ends its actions.
 
 use super::CellState;
 use crate::state::Violation;
@@ -13,7 +13,7 @@ use std::sync::Arc;
 pub(crate) struct Running {
     /// The level of the script that waits for the action.
     pub level: u8,
-    /// The action.
+    /// The number of the action in the program.
     pub action: u16,
     /// How long the action still takes, at least and at most.
     pub least: Ticks,
@@ -21,17 +21,17 @@ pub(crate) struct Running {
 }
 
 impl Running {
-    /// The `most` of an action that need not end.
+    /// The value of `most` for an action that need not end.
     pub const FOREVER: Ticks = Ticks::FAR;
 
-    /// A duration of the program as the checker counts it. A duration that a packed state cannot hold counts
-    /// as endless.
+    /// A duration of the program in the form in which the checker counts it. A duration that a packed state cannot hold
+    /// counts as endless.
     pub fn length(ticks: Ticks) -> Ticks {
         if ticks.0 < u64::from(u32::MAX) { ticks } else { Self::FOREVER }
     }
 }
 
-/// A script and its running actions, ascending by level.
+/// A script and its running actions, ascending by the level of their activations.
 #[derive(Clone, Debug)]
 pub(crate) struct Actor {
     pub host: ScriptHost,
@@ -59,7 +59,7 @@ impl Actor {
         self.chooses().is_some() || self.running.iter().any(|action| action.most.is_zero())
     }
 
-    /// The action that an level waits for.
+    /// The action for which the activation at this level waits.
     pub fn runs(&self, level: u8) -> Option<&Running> {
         self.running.iter().find(|action| action.level == level)
     }
@@ -68,7 +68,7 @@ impl Actor {
         self.pass_for(ticks, |_| true);
     }
 
-    /// The same for the actions of those activations for which `begun` is true.
+    /// As [`pass`](Self::pass), but only for the actions of those activations for which `begun` is true.
     pub fn pass_for(&mut self, ticks: Ticks, begun: impl Fn(u8) -> bool) {
         for action in self.running.iter_mut().filter(|action| begun(action.level)) {
             action.least = action.least - ticks;
@@ -81,15 +81,15 @@ impl Actor {
 #[derive(Clone, Debug)]
 pub(crate) struct ScriptReaction {
     pub task: usize,
-    /// The operation that the script waited in.
+    /// The operation in which the script waited.
     pub at: Address,
     pub input: ScriptInput,
-    /// The statements that it began.
+    /// The statements that the script began.
     pub passed: Vec<Address>,
     pub end: Option<End>,
 }
 
-/// Where the effects of a script go.
+/// The outbox of a script: where its effects go.
 struct Wanted<'a> {
     task: usize,
     machine: Option<(&'a CommTask, &'a NodeTable)>,
@@ -151,7 +151,7 @@ impl ScriptOutbox for Wanted<'_> {
 }
 
 impl CellState {
-    /// Gives an input to a task's script; false if the task has none.
+    /// Gives an input to a task's script. Returns false if the task has no script.
     pub(crate) fn leave(&mut self, task: usize, input: ScriptInput) -> bool {
         let Some(actor) = &mut self.bodies[task].actor else { return false };
         actor.host.tell(input);
@@ -159,7 +159,7 @@ impl CellState {
         true
     }
 
-    /// Runs scripts until all of them wait: one after another, in the order of their first inputs.
+    /// Runs scripts until all of them wait, one after another, in the order in which each got its first input.
     pub(crate) fn run_scripts(&mut self) -> Result<(), Violation> {
         let mut steps = 0;
         while let Some(task) = self.ready.pop_front() {
@@ -199,7 +199,7 @@ impl CellState {
         Ok(())
     }
 
-    /// Ends the action of an level, and queues its result for the script.
+    /// Ends the action of the activation at this level, and queues its result for the script.
     pub(crate) fn acted(&mut self, task: usize, level: u8, ok: bool, value: i32) {
         if let Some(actor) = &mut self.bodies[task].actor {
             actor.running.retain(|action| action.level != level);

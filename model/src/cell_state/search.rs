@@ -1,4 +1,4 @@
-//! Cell states under stateright's breadth-first search.
+//! Explores cell states with stateright's breadth-first search.
 
 use super::plan::CellScenario;
 use super::{CellState, Move};
@@ -33,13 +33,13 @@ impl Ground for CellState {
 pub struct CellModel(Grounded<CellState>);
 
 impl CellModel {
-    /// The model of a scenario.
+    /// The stateright model of a scenario.
     #[must_use]
     pub fn new(plan: &Arc<CellScenario>, limits: Limits) -> Self {
         Self(Grounded::new(CellState::new(plan), limits, None))
     }
 
-    /// Whether no effect within a node and no step of an eager task is outstanding.
+    /// Whether all effects within nodes are carried out, and no step of an eager task is left.
     #[doc(hidden)]
     #[must_use]
     pub fn is_quiescent(&self, state: &Packed) -> bool {
@@ -49,7 +49,7 @@ impl CellModel {
         })
     }
 
-    /// A quiescent state, as the same cell with fused steps packs it.
+    /// The packed form of a [quiescent](Self::is_quiescent) state in the same cell with fused steps.
     #[doc(hidden)]
     #[must_use]
     pub fn as_fused(&self, state: &Packed) -> Packed {
@@ -61,7 +61,7 @@ impl CellModel {
         })
     }
 
-    /// The state, unpacked and packed again.
+    /// The packed state, after it was unpacked and packed again.
     #[doc(hidden)]
     #[must_use]
     pub fn rewritten(&self, state: &Packed) -> Packed {
@@ -80,7 +80,8 @@ pub fn explore_cell_state(plan: &Arc<CellScenario>, limits: Limits) -> Explorati
     search(CellState::new(plan), limits, None)
 }
 
-/// A cell state that is never packed: every transition works on a copy of the whole. For tests that compare the two forms.
+/// A cell state that is never packed: every transition works on a copy of the whole state. For tests that compare it with
+/// packed states.
 #[doc(hidden)]
 #[derive(Clone, Debug)]
 pub struct LiveCellState(CellState);
@@ -105,7 +106,7 @@ impl LiveCellState {
         moves.into_iter().map(follow).collect()
     }
 
-    /// The packed form.
+    /// The packed form of the state.
     #[must_use]
     pub fn packed(&self) -> Packed {
         self.0.clone().store()

@@ -38,7 +38,7 @@ impl CellState {
         if alone {
             self.moves(&mut alternatives);
         }
-        // If a tick is the only enabled transition before and after it, the state in between is skipped.
+        // If a tick is the only enabled transition before and after it, the state between the two ticks is skipped.
         let quiet = alone && alternatives.len() == 1;
         for _ in 0..u8::MAX {
             let log = self.log.len();
@@ -62,7 +62,7 @@ impl CellState {
         Ok(())
     }
 
-    /// Whether the passing of time alone changes nothing any more.
+    /// Whether the passing of time alone changes nothing in this state any more.
     fn is_over(&self) -> bool {
         let waits = |node: &Node| node.time_left().is_some();
         self.in_flight.is_empty()
@@ -108,7 +108,7 @@ impl CellState {
         self.judge_waits()
     }
 
-    /// Lets time pass for a node, and the ticks that it has not noticed yet.
+    /// Lets time pass for a node, including ticks that the node has not noticed yet.
     pub(crate) fn pass(&mut self, i: usize, ticks: Ticks) -> Result<(), Violation> {
         let owed = std::mem::take(&mut self.nodes[i].owed);
         let ticks = ticks + Ticks(u64::from(owed));
@@ -142,7 +142,8 @@ impl CellState {
     pub(crate) fn restart(&mut self, i: usize) -> Result<(), Violation> {
         let node_state = &mut self.nodes[i];
         node_state.restart(self.plan.transit);
-        // Ids of different incarnations are never compared: the new one may count on from the numbers of the old one.
+        // Ids of different incarnations are never compared: the new incarnation may continue with the numbers of the old
+        // one.
         let mut from = From { rounds: &self.rounds, sequences: &self.sequences };
         for task in &mut node_state.node.parts_mut().tasks {
             task.walk(&node_state.table, &mut from);
@@ -163,7 +164,7 @@ impl CellState {
     }
 }
 
-/// A pass that moves the epochs of a node at its first start.
+/// A pass that moves the epochs of a node at the node's first start.
 pub(super) struct Epochs(pub u8);
 
 impl Walk for Epochs {
@@ -174,7 +175,7 @@ impl Walk for Epochs {
     }
 }
 
-/// A pass that moves the ids of a new node to the bases of this cell state.
+/// A pass that moves the ids of a new node to the numbers from which this cell state counts.
 struct From<'a> {
     rounds: &'a [Round],
     sequences: &'a [Seq24],

@@ -1,4 +1,4 @@
-//! The fields of a cell state, each listed once: see [`Walk`].
+//! Walks the fields of a cell state, each of which is listed once: see [`Walk`].
 
 use super::body::{Activation, Body, Does};
 use super::judge::{Name, SpecStates};
@@ -7,7 +7,7 @@ use super::script::{Actor, Running};
 use super::{CellState, InFlight, NodeState};
 use imrs_protocol::{Incarnation, Packet, PortId, ReplyTo, Seq24, TaskId, Ticks, Walk, mark};
 
-/// The first byte of an activation: what it does, and which fields follow.
+/// The parts of an activation's first byte: what the activation does, and which fields follow.
 const DOES: [Does; 4] = [Does::Free, Does::Waits, Does::Serves, Does::Works];
 const ANSWERS: u8 = 0x04;
 const NESTED: u8 = 0x08;
@@ -15,17 +15,17 @@ const GETS: u8 = 0x10;
 const PORT: u8 = 0x20;
 const LAST: u8 = 0x80;
 
-/// Most handlers that interrupt each other in a state that is checked.
+/// The greatest number of activations of a task in a packed state.
 const MOST_ACTIVATIONS: usize = 16;
 
 impl CellState {
-    /// Walks all but the packets in flight, which have an order of their own. The caller gives `behind`, because it
-    /// knows what `behind` is relative to.
+    /// Walks all fields but the packets in flight, which have an order of their own. The caller gives `behind`, because the
+    /// caller knows to what `behind` is relative.
     pub(super) fn walk<W: Walk>(&mut self, behind: &mut [u8], w: &mut W) {
         let counts_behind = self.counts_behind();
         let Self {
             plan,
-            // The plan or the kind of run fixes these three.
+            // The plan or the kind of run determines these three fields.
             links: _,
             keep_log: _,
             history: _,
@@ -35,13 +35,13 @@ impl CellState {
             spec_states,
             faults,
             used,
-            // A state with a violation is packed as that alone.
+            // A state with a violation is packed as the violation alone.
             violation: _,
-            // What packed numbers are relative to.
+            // Packed numbers are relative to these fields.
             rounds: _,
             sequences: _,
             behind: _,
-            // What the last transition showed, and what exists only during a transition.
+            // These fields hold what the last transition showed, or what exists only during a transition.
             log: _,
             passed: _,
             spare: _,
@@ -49,7 +49,7 @@ impl CellState {
             ready: _,
             turns,
             orders,
-            // Decides only what is checked, so it does not change what happens.
+            // This field decides only what is checked, so it does not change behaviour.
             is_sampled: _,
             is_symbolic: _,
         } = self;
@@ -100,7 +100,7 @@ impl NodeState {
             incarnation: _,
             known: _,
             owed,
-            // Used only in the search of a cell, which holds it in a state of its own.
+            // This field is used only in the search of a cell, which packs it elsewhere.
             asleep: _,
         } = self;
         w.byte_if(plan.faults.late > 0, owed);
@@ -166,7 +166,7 @@ impl Running {
         if names_actions {
             w.small(action);
         }
-        // An action without an end may end at any time from its least time on, so the time since then is not
+        // An action without an end may end at any time from its least time on, so the time since its least time is not
         // packed.
         w.left(least, *most == Self::FOREVER);
         w.left(most, false);
@@ -174,7 +174,7 @@ impl Running {
 }
 
 impl Activation {
-    /// Walks an activation. Returns whether it is the last one.
+    /// Walks an activation. Returns whether it is the last activation of its task.
     fn walk<W: Walk>(&mut self, (is_handler, is_last): (bool, bool), waits: bool, w: &mut W) -> bool {
         let Self { does, to, echo, nested, age, left, question, get, port, rank } = self;
         let head = w.put(

@@ -3,8 +3,7 @@
 use super::Effect;
 use imrs_protocol::{NodeId, NodeOutbox, Observation, Packet, Signal, TaskId};
 
-/// The outbox of one node: it takes the node's effects. `open` says how many packets each of its links still
-/// takes.
+/// The outbox of one node, which takes the node's effects. `open` says how many packets each of its links still takes.
 pub(super) struct Wires<'a> {
     pub effects: &'a mut Vec<Effect>,
     pub open: &'a mut [(NodeId, u8)],

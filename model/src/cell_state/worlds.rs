@@ -1,4 +1,4 @@
-//! The scenarios for the protocol's claims.
+//! The scenarios that the protocol's claims explore.
 
 mod couple;
 mod served;
@@ -11,29 +11,29 @@ use imrs_protocol::rules::Rules;
 use imrs_protocol::{Cell, CellError, CellTable, PortDecl, PortId, Target, TaskId, Ticks, Usage};
 use std::sync::Arc;
 
-/// Two senders on one node, a relay, and a receiver on the third node. The first sends commands, the second statuses
-/// or commands, each on a port of its own.
+/// Two senders on one node, a relay, and a receiver on the third node. The first sender sends commands, the second one
+/// statuses or commands, each on a port of its own.
 #[derive(Clone, Debug)]
 pub struct Relay {
     /// The TTLs of the first and of the second sender's messages, in ticks.
     pub time_out: (u64, u64),
     /// The bound of each of the two links, in ticks.
     pub delay: u64,
-    /// How often a command is retransmitted, and the period in ticks.
+    /// How often a command is retransmitted, and the period of retransmission in ticks.
     pub retry: (u8, u64),
     /// How many messages each sender sends.
     pub sends: (u8, u8),
     /// Whether the second sender sends commands, too.
     pub commands: bool,
-    /// `bounded_buffer[n]`.
+    /// The size of the receiver's buffers: `bounded_buffer[n]`.
     pub buffer: u16,
     /// How many packets a node's transit buffer holds.
     pub transit: u16,
     /// How many packets a link takes in one tick.
     pub room: Option<u8>,
-    /// Faults.
+    /// The faults that may happen.
     pub faults: Faults,
-    /// Rules.
+    /// The rules of the protocol.
     pub rules: Rules,
     /// The properties that are checked.
     pub watches: Vec<CellProperty>,
@@ -61,7 +61,7 @@ impl Default for Relay {
 }
 
 impl Relay {
-    /// The plan.
+    /// The scenario.
     ///
     /// # Errors
     /// The errors of the cell's declaration.
@@ -94,7 +94,7 @@ impl Relay {
     }
 }
 
-/// A task that waits for an answer that never comes, and one on the same node that never makes an API call.
+/// A task that waits for an answer that never comes, and a task on the same node that never makes an API call.
 ///
 /// # Errors
 /// The errors of the cell's declaration.
@@ -127,8 +127,8 @@ pub fn delays(lengths: [u64; 2]) -> Result<Arc<CellScenario>, Vec<CellError>> {
     Ok(Arc::new(plan.watching(CellProperty::Waits { slack: 0 })))
 }
 
-/// A chain of four nodes whose transit buffers hold one packet each. A node passes a packet on only if the next node
-/// has room. So the buffers of the inner two can be full of packets for each other.
+/// A chain of four nodes whose transit buffers hold one packet each. A node passes a packet on only if the next node has
+/// space. So the buffers of the two inner nodes can be full of packets for each other.
 ///
 /// # Errors
 /// The errors of the cell's declaration.
@@ -144,7 +144,7 @@ pub fn full_buffers(sends: u8, watch: CellProperty) -> Result<Arc<CellScenario>,
         PortDecl::new(name, from, Usage::Send, &[to], Ticks(7)).command()
     };
     let (east, west) = (cell.port(port("east", x, v)), cell.port(port("west", y, u)));
-    // A second task on each of these nodes sends while the first one waits.
+    // On each of these nodes a second task sends while the first task waits.
     let [x2, y2] = [("X2", nodes[1]), ("Y2", nodes[2])].map(|(name, node)| cell.task(name, node));
     let (east2, west2) = (cell.port(port("east2", x2, v)), cell.port(port("west2", y2, u)));
     let sender = |port: PortId| {

@@ -2,17 +2,17 @@
 
 use super::{Note, outcome_words};
 
-/// The widest line. The command indents charts by two columns, which still fits the narrowest terminals.
+/// The width of the widest line. The command indents charts by two columns, so that they still fit the narrowest terminals.
 const COLUMNS: usize = 78;
-/// Columns that all lanes take together, unless a lane then has fewer than three.
+/// How many columns all lanes take together, unless a lane would then have fewer than three.
 const LANES: usize = 36;
-/// Fewest columns of a lane, if there is room: an arrow must be visible.
+/// The least number of columns of a lane, if there is space: an arrow must be visible.
 const NARROW: usize = 8;
-/// Fewest columns for the words. If lanes leave fewer, there are no lanes.
+/// The least number of columns for the words. If the lanes leave fewer columns, no lanes are drawn.
 const WORDS: usize = 30;
-/// The longest cycle of repeated notes that is searched for, in notes.
+/// The number of notes of the longest cycle for which the drawing searches.
 const CYCLE: usize = 64;
-/// Fewest notes that folding a cycle must save.
+/// The least number of notes that folding a cycle must save.
 const WORTH: usize = 4;
 
 /// How a chart shows notes that repeat.
@@ -24,7 +24,8 @@ pub enum Folding {
     Nothing,
 }
 
-/// Draws a chart: a lane for each name, a line or more for each note, and the cause at its end. At most 78 columns wide.
+/// Draws a chart: a lane for each name, a line or more for each note, and the cause at the chart's end. At most 78 columns
+/// wide.
 #[must_use]
 pub fn chart(names: &[String], notes: &[Note], cause: &str, folding: Folding) -> String {
     let last = notes.last().map_or(0, Note::tick);
@@ -67,14 +68,14 @@ fn ticks(number: u32) -> String {
     format!("{number} tick{}", if number == 1 { "" } else { "s" })
 }
 
-/// How lines are laid out.
+/// How the lines of a chart are laid out.
 struct Sheet<'a> {
     names: &'a [String],
-    /// Columns for the tick.
+    /// How many columns the tick takes.
     margin: usize,
-    /// Columns for each lane; 0 if there are too many lanes to draw any.
+    /// How many columns each lane takes; 0 if there are too many lanes to draw any.
     lane: usize,
-    /// Columns for the line of the cell's source text; 0 if no note has one.
+    /// How many columns the line of the cell's source text takes; 0 if no note has such a line.
     line: usize,
 }
 
@@ -103,7 +104,7 @@ impl<'a> Sheet<'a> {
         vec![head.trim_end().to_owned()]
     }
 
-    /// The column for source lines, filled with this text.
+    /// The column for source lines, with this text in it.
     fn beside(&self, line: &str) -> String {
         if self.line == 0 { String::new() } else { format!("{line:>width$}  ", width = self.line - 2) }
     }
@@ -197,17 +198,17 @@ fn wrapped(text: &str, room: usize) -> Vec<String> {
     lines
 }
 
-/// A run of notes that repeats.
+/// A group of consecutive notes that repeats.
 struct Cycle {
     /// How many notes one repetition has.
     length: usize,
     /// How many repetitions there are, the first one included.
     times: usize,
-    /// Ticks from one repetition to the next.
+    /// The number of ticks from one repetition to the next.
     every: u32,
 }
 
-/// Of the cycles with which these notes begin, the one that saves most; `None` if there is none.
+/// The cycle that saves most notes, of those with which these notes begin; `None` if no cycle saves enough.
 fn cycle(notes: &[Note]) -> Option<Cycle> {
     let most = CYCLE.min(notes.len() / 2);
     let cycles = (1..=most).filter_map(|length| {
@@ -219,14 +220,15 @@ fn cycle(notes: &[Note]) -> Option<Cycle> {
         let times = (1..).take_while(|&time| again(time)).count() + 1;
         (every > 0 && length * (times - 1) >= WORTH).then_some(Cycle { length, times, every })
     });
-    // A longer cycle must save more notes than the shorter one, by more than the length of the shorter one.
+    // A longer cycle is better only if it saves more notes than the shorter one, by more than the length of the shorter
+    // one.
     cycles.reduce(|best, other| {
         let saves = |cycle: &Cycle| cycle.length * (cycle.times - 1);
         if saves(&other) > saves(&best) + best.length { other } else { best }
     })
 }
 
-/// Whether `other` repeats `one`, `later` ticks later. Numbers of messages and rounds may differ.
+/// Whether `other`, `later` ticks after `one`, repeats `one`. Numbers of messages and rounds may differ.
 fn is_same(one: &Note, other: &Note, later: u32) -> bool {
     let text = |one: &str, other: &str| unnumbered(one).eq(unnumbered(other));
     one.tick().checked_add(later) == Some(other.tick())
@@ -314,7 +316,7 @@ mod tests {
             drawn,
             "tick  armL    armR     line\n   3  |       *           7  armR: goes on\n   4  |       *              armR: goes on\n   5  |       *       12345  armR: goes on\n      => so"
         );
-        // The same words at another line of the source are another step.
+        // The same words at another line of the cell's source text are another step.
         let notes: Vec<Note> = (0..9).map(|i| event(i, Some(i))).collect();
         assert!(!chart(&names(), &notes, "so", Folding::Repeats).contains("..."));
     }

@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 pub(super) type Plan = Result<Arc<CellScenario>, Vec<CellError>>;
 
-/// A scenario to explore, and whether it must violate its property.
+/// A scenario to explore, and whether its search must find a violation.
 pub(super) struct Part {
     plan: Box<dyn Fn() -> Plan + Send + Sync>,
     /// Whether the search must find a violation. Such a part shows that the other parts do not hold vacuously.
@@ -38,7 +38,7 @@ fn relay(relay: Relay) -> Part {
     holds(move || relay.plan())
 }
 
-/// A claim that holds if all parts hold. Parts that must find a violation do not count for that.
+/// A claim that holds if all parts hold. In parts that must find a violation, the violation is expected.
 pub(super) fn claim(
     (name, rule, about): (&'static str, &'static str, &'static str),
     expect: Outcome,
@@ -50,7 +50,7 @@ pub(super) fn claim(
     Claim { name, rule, parties, about, expect, smoke, settle: Box::new(move |work| settle(work, &parts)) }
 }
 
-/// Explores the scenarios until one of them fails.
+/// Explores the scenarios of a claim until one of them fails.
 pub(super) fn settle(work: &mut Work<'_>, parts: &[Part]) -> Settled {
     let mut settled = Settled::new(Outcome::Unknown, Bounds::default(), None);
     for part in parts {
@@ -121,7 +121,7 @@ fn eviction() -> Vec<Claim> {
     ]
 }
 
-/// The claims about messages, over a relay whose buffer fills and whose links take one packet a tick.
+/// The claims about messages that pass a relay whose buffer fills and whose links take one packet a tick.
 fn relays() -> Vec<Claim> {
     let watches = [
         ("no-stale-delivery", CellProperty::Stale { slack: 0 }),
@@ -196,7 +196,7 @@ fn relays() -> Vec<Claim> {
 }
 
 /// The claim about what senders learn of commands that did not run: a full buffer refuses or holds them, or one copy is
-/// refused while another runs.
+/// refused while another copy runs.
 fn did_not_run() -> Claim {
     let about = "a command that is reported as refused or never sent has not run and does not run later";
     let copies = Relay {
@@ -216,8 +216,8 @@ fn did_not_run() -> Claim {
     claim(("at-most-once", "default, told that it did not run", about), Outcome::Holds, true, parts)
 }
 
-/// Claims about copies that worlds with one task per node cannot show: those drop packets that their task would ignore, and
-/// only their receivers crash.
+/// Claims about copies that worlds with one task per node cannot show. In such worlds packets that the task would ignore
+/// are dropped, and only receivers crash.
 fn copies() -> Vec<Claim> {
     let twice =
         |faults, watch| relay(Relay { sends: (2, 0), faults, watches: vec![watch], ..Relay::default() });
@@ -280,7 +280,7 @@ fn nothing_waits_for_ever() -> Vec<Claim> {
 fn no_global_clock() -> Vec<Claim> {
     let offsets = [[0, 0, 0], [0, 3, 0], [200, 7, 99]];
     let faults = Faults { drift: 1, loss: 1, ..Faults::default() };
-    // A node that missed a tick may hand over a message one tick late. A wait may always last one tick longer.
+    // A node that missed a tick may hand over a message one tick late. A wait may always last one tick too long.
     let watches = vec![CellProperty::Stale { slack: 1 }, CellProperty::Waits { slack: 0 }];
     let cell_states: Vec<Relay> = offsets
         .into_iter()
@@ -303,7 +303,7 @@ fn no_global_clock() -> Vec<Claim> {
     }]
 }
 
-/// Settles a claim for which every scenario must hold, with the same number of states.
+/// Settles a claim for which every scenario must hold, and all scenarios must have the same number of states.
 fn equal_states(work: &mut Work<'_>, cell_states: &[Relay]) -> Settled {
     let mut counts = Vec::new();
     let mut last = settle(work, &[]);

@@ -102,8 +102,8 @@ fn at_most_once() -> Vec<Claim> {
     let eager = Rules { quarantine: false, ..Rules::DEFAULT };
     vec![
         claim((name, "default", about), Outcome::Holds, true, vec![crash.clone()]),
-        // A restart multiplies the states. So the larger scenario has one fault of each kind if there is a restart, and two
-        // if there is none.
+        // A restart multiplies the states. So the larger scenario has one fault of each kind if nodes may restart, and two
+        // of each if they may not.
         claim((name, "default", about), Outcome::Holds, false, vec![calm, shaken]),
         claim(
             (name, "no-memory", "without memory a copy runs again (D6)"),
@@ -169,7 +169,7 @@ fn no_global_clock() -> Vec<Claim> {
 }
 
 /// Settles a claim that depends on the clocks: every scenario must hold if the clocks are equal, so that a failure with
-/// other clocks is due to them.
+/// unequal clocks is due to the clocks.
 fn only_apart(work: &mut Work<'_>, worlds: &[Exchange]) -> Settled {
     let (together, apart): (Vec<_>, Vec<_>) = worlds.iter().cloned().partition(|e| e.clocks.0 == e.clocks.1);
     let equal = settle(work, &together).outcome == Outcome::Holds;

@@ -1,4 +1,5 @@
-//! Claims about work-coupled tasks: at most one acts, and no order of an older epoch runs (R8; D30, D61, D78, D80).
+//! Claims about work-coupled tasks: at most one task of a couple acts, and no order of an older epoch runs (R8; D30, D61,
+//! D78, D80).
 
 use super::cell_states::{Plan, bounds, settle_plan};
 use super::{Claim, Settled, Variant, Work};
@@ -31,11 +32,11 @@ pub(super) fn claims() -> Vec<Claim> {
     let crash =
         |base: Couple| Couple { faults: Faults { crash: base.faults.crash + 1, ..base.faults }, ..base };
     let copy = |base: Couple| Couple { faults: Faults { dup: 1, ..base.faults }, ..base };
-    // The couple with a longer heartbeat period: its lease outlasts only one lost heartbeat, so fewer heartbeats
-    // are in flight.
+    // The same couple with a longer heartbeat period. Its lease outlasts only one lost heartbeat, so fewer heartbeats are
+    // in flight.
     let seldom = |base: Couple| Couple { every: 3, ..base };
     let slow = |base: Couple| Couple { delay: 2, lease: 14, takeover: 14, every: 5, ..base };
-    // Each exchange of roles raises the epoch. With unlimited losses the epochs would never end.
+    // Each exchange of roles raises the epoch. With unlimited losses the number of epochs would have no limit.
     let mutual =
         |loss: u8, base: Couple| Couple { mutual: true, faults: Faults { loss, ..base.faults }, ..base };
     let mut claims = vec![
@@ -79,16 +80,16 @@ pub(super) fn claims() -> Vec<Claim> {
     claims
 }
 
-/// With this first epoch, the primary's epoch is the last one before the wrap, and the standby's the first one
-/// after it.
+/// If the couple begins in this epoch, the primary's epoch is the last one before the wrap, and the standby's epoch the
+/// first one after it.
 const WRAPS: u8 = 252;
 
-/// First epochs that are about half the circle of numbers away from where a restarted node begins. At that distance it is
-/// unclear which of the two is newer.
+/// First epochs of the couple that are about half the number circle away from the epoch in which a restarted node begins.
+/// At that distance it is unclear which of the two epochs is newer.
 const HALF_WAY: std::ops::RangeInclusive<u8> = 120..=136;
 
-/// The claim about a restarted node, which has forgotten the epochs: it adopts its partner's epoch, and the partner never
-/// adopts the one that the node guessed (D135).
+/// The claim about a restarted node, which has forgotten the epochs: the node adopts its partner's epoch, and the partner
+/// never adopts the epoch that the node guessed (D135).
 fn half_way(rule: &'static str, smoke: bool, couple: Couple) -> Claim {
     Claim {
         name: NAME,
@@ -111,8 +112,8 @@ fn half_way(rule: &'static str, smoke: bool, couple: Couple) -> Claim {
     }
 }
 
-/// Explores the same plan from several epochs: from zero, before the half and before the wrap. All must hold, with
-/// the same number of states.
+/// Explores the same plan from several epochs: from zero, from just before half of the number circle, and from just before
+/// the wrap. All searches must hold, with the same number of states.
 fn equal_states(work: &mut Work<'_>, from: impl Fn(u8) -> Plan) -> Settled {
     let (mut last, first) = work.part(|work| settle_plan(work, from(0)));
     for epoch in [WRAPS / 2 - 2, WRAPS] {
@@ -138,7 +139,7 @@ fn least(rule: &'static str, smoke: bool, couple: Couple) -> Claim {
     }
 }
 
-/// Most ticks beyond the lease after which a take-over is tried.
+/// The greatest number of ticks beyond the lease that the search tries for a take-over.
 const MOST: u64 = 6;
 
 /// The closed form of the margin for the couple's clocks: the drift over both waits, and the tick by which a node may notice
@@ -150,13 +151,13 @@ fn closed_form(couple: &Couple) -> u64 {
     takeover_margin(Ticks(lease), Ticks(lease), ppm, Ticks::ZERO, Ticks(1)).0
 }
 
-/// Searches for the least margin that holds; the one below it is the variant that must fail. It also checks that the standby
-/// can take over at all.
+/// Searches for the least margin that holds. The margin below it is the variant that must fail. Also checks that the
+/// standby can take over at all.
 fn margin(work: &mut Work<'_>, couple: &Couple) -> Settled {
     let mut one_less: Option<(Settled, _)> = None;
     let mut held = None;
-    // The search starts one tick below the lease, so that even if the least margin is zero, a smaller one was
-    // tried and failed.
+    // The search starts one tick below the lease, so that a smaller margin is tried and fails even if the least margin is
+    // zero.
     for takeover in couple.lease - 1..=couple.lease + MOST {
         let tried = Couple { takeover, ..couple.clone() };
         let (settled, counts) = work.part(|work| settle_plan(work, tried.plan()));
@@ -192,8 +193,8 @@ fn margin(work: &mut Work<'_>, couple: &Couple) -> Settled {
     }
 }
 
-/// The claim that a heartbeat which only says "alive" is not enough: it cannot tell a dead partner from lost answers, so no
-/// take-over is late enough.
+/// The claim that a heartbeat which only says "alive" is not enough: the standby cannot tell a dead partner from lost
+/// answers, so no take-over is late enough.
 fn heartbeat() -> Claim {
     let couple = |takeover: u64| Couple { rule: LeaseRule::Heartbeat, takeover, ..COUPLE };
     Claim {
@@ -204,7 +205,7 @@ fn heartbeat() -> Claim {
         expect: Outcome::Fails,
         smoke: true,
         settle: Box::new(move |work| {
-            // The counterexample of the shortest take-over is shown. Longer ones must fail, too.
+            // The verdict shows the counterexample of the shortest take-over. Longer take-overs must fail, too.
             let longer = [COUPLE.lease + 4, 2 * COUPLE.lease, 3 * COUPLE.lease];
             let fails =
                 |work: &mut Work<'_>, t| settle_plan(work, couple(t).plan()).outcome == Outcome::Fails;
@@ -215,7 +216,7 @@ fn heartbeat() -> Claim {
     }
 }
 
-/// The TTL of an order, and its link delay, in ticks.
+/// The TTL of an order, and the link delay of an order, in ticks.
 const ORDER: (u64, u64) = (4, 1);
 
 /// A scenario in which both tasks of a couple send orders to one arm. The take-over comes `margin` ticks after the lease.
@@ -259,7 +260,7 @@ fn orders() -> Vec<Claim> {
     };
     vec![
         // A couple that is declared as trusted may take over while the last order still runs. Then only the guard of the
-        // order protects.
+        // orders protects the arm.
         claim("default", Outcome::Holds, 1, true),
         wraps,
         claim("no-guard", Outcome::Fails, 1, false),

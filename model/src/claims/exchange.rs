@@ -15,7 +15,7 @@ pub(super) fn commands(watch: Watch) -> Exchange {
     }
 }
 
-/// A claim that holds if all of these scenarios hold, and fails if one of them does.
+/// A claim that holds if all of these scenarios hold, and fails if one of them fails.
 pub(super) fn claim(
     (name, rule, about): (&'static str, &'static str, &'static str),
     expect: Outcome,
@@ -33,7 +33,7 @@ pub(super) fn claim(
     }
 }
 
-/// Explores the scenarios until one of them fails.
+/// Explores the scenarios of a claim until one of them fails.
 pub(super) fn settle(work: &mut Work<'_>, worlds: &[Exchange]) -> Settled {
     let mut settled = None;
     for exchange in worlds {

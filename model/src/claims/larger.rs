@@ -32,7 +32,7 @@ fn no_false_release() -> Vec<Claim> {
         "no member is released early if all reach the waitfor at once, and again at once after a restart";
     let again =
         |members, time_out, budget| Meeting { budget, ..timed(members, Watch::FalseRelease, 1, 3, time_out) };
-    // Meetings with the least margin: it covers no lost packet.
+    // Meetings with the least margin, which covers no lost packet.
     let least =
         |members, time_out, budget| Meeting { budget, ..timed(members, Watch::FalseRelease, 0, 1, time_out) };
     let once =
@@ -65,8 +65,8 @@ fn no_false_release() -> Vec<Claim> {
 
 fn rendezvous_under_loss() -> Vec<Claim> {
     let name = "rendezvous-under-loss";
-    // With five members only `no-confirmation` is searched with losses. The other rules fail only after more losses,
-    // with which five members have too many states.
+    // With five members only `no-confirmation` is searched with losses. The other rules fail only after more losses, and
+    // with so many losses five members have too many states.
     let about = "five members with nothing lost: no member waits after all have arrived";
     let lossless = Meeting::new(5, Watch::Stranded);
     vec![
@@ -102,8 +102,8 @@ fn all_or_none() -> Vec<Claim> {
     let four = Meeting { resend: None, hurry: true, ..timed(4, Watch::AllOrNone, 0, 1, 3) };
     vec![
         simple(("all-or-none", "default, at once", about), Outcome::Holds, false, four),
-        // Members that come at once share one deadline. So a margin that is too short shows only if members come at any
-        // time.
+        // Members that reach the waitfor at once have the same deadline. So a margin that is too short shows only if
+        // members come at any time.
         simple(("all-or-none", "margin-one-less", apart), Outcome::Fails, false, less),
         search(2, 3, 2, TimeOuts::Only(8)).claim("default, largest bounds", false),
         search(3, 0, 0, TimeOuts::Least { more: 1 }).claim("default, two time_outs", false),

@@ -9,7 +9,7 @@ use imrs_protocol::Ticks;
 use imrs_protocol::margin::least_margin;
 use imrs_protocol::rules::Rules;
 
-/// A search for the least margin with which no member is released while another gives up.
+/// A search for the least margin that suffices: no member is released while another gives up.
 #[derive(Clone, Copy)]
 pub(super) struct Search {
     pub members: usize,
@@ -22,7 +22,7 @@ pub(super) struct Search {
     pub resend: Option<u64>,
 }
 
-/// The time_outs with which a margin is tried.
+/// The time_outs with which the search tries a margin.
 #[derive(Clone, Copy)]
 pub(super) enum TimeOuts {
     /// The least time_out with which a release is reachable, and `more` longer ones. So the result does not depend on how
@@ -115,13 +115,13 @@ impl Search {
         }
     }
 
-    /// The result for the first time_out with which the margin does not hold; none if it holds with all.
+    /// The result for the first time_out with which the margin does not hold; `None` if it holds with all time_outs.
     fn fails_at(&self, work: &mut Work<'_>, margin: u64) -> Option<Settled> {
         let mut settled = self.time_outs(margin).map(|time_out| once(work, &self.meeting(margin, time_out)));
         settled.find(|settled| settled.outcome != Outcome::Holds)
     }
 
-    /// Searches for the least margin that holds; the one below it is the variant that must fail. It also checks that a
+    /// Searches for the least margin that holds. The margin below it is the variant that must fail. Also checks that a
     /// member can be released with that margin at all; otherwise the claim would hold vacuously.
     fn margin(&self, work: &mut Work<'_>) -> Settled {
         let closed_form = self.closed_form();
@@ -158,7 +158,7 @@ impl Search {
     }
 }
 
-/// The claim that a search finds the least margin, with deviations of time.
+/// The claim that a search finds the least margin, if packets may be charged too much and timers may be late.
 pub(super) fn margins(rule: &'static str, members: usize, losses: u8, timing: Timing, smoke: bool) -> Claim {
     Search { timing, ..Search::of(members, losses) }.claim(rule, smoke)
 }

@@ -10,7 +10,7 @@ use imrs_protocol::rules::{Confirmation, Rules};
 pub(super) const DELAY: u8 = 1;
 pub(super) const RESEND: u64 = 2;
 
-/// A meeting in which time passes. Its margin must bear `losses` losses, and as many happen.
+/// A meeting in which time passes. Its margin must cover `losses` lost packets, and up to so many packets are lost.
 pub(super) fn timed(members: usize, watch: Watch, losses: u8, margin: u64, time_out: u64) -> Meeting {
     Meeting {
         time_out: Some(time_out),
@@ -60,7 +60,8 @@ pub(super) fn simple(
     Claim { name, rule, parties, about, expect, smoke, settle: Box::new(settle) }
 }
 
-/// Whether the property speaks only of releases, so that it would hold vacuously if no member were ever released.
+/// Whether a meeting's property speaks only of releases. Such a property would hold vacuously if no member were ever
+/// released.
 const fn says_of_releases(meeting: &Meeting) -> bool {
     matches!(meeting.watch, Watch::FalseRelease | Watch::Pairing | Watch::AllOrNone)
 }
@@ -89,7 +90,7 @@ pub(super) fn strand_claim(
     }
 }
 
-/// Searches for the fewest losses that strand a member: if every packet is sent once, and with retransmission.
+/// Searches for the fewest losses that strand a member: without and with retransmission.
 fn strand(work: &mut Work<'_>, members: usize, confirmation: Confirmation) -> Settled {
     let rules = Rules { confirmation, answer_late_arrivals: false, ..Rules::DEFAULT };
     let literal = Meeting { rules, ..Meeting::new(members, Watch::Stranded) };

@@ -185,8 +185,8 @@ fn meet_again() -> Vec<Claim> {
     ]
 }
 
-/// A time_out with which members meet again, whatever the phases of their attempts. With a shorter one, three members could
-/// give up in turn for ever, because each finds the others within the margin of their deadlines.
+/// A time_out with which members meet again, whenever each of them begins its attempts. With a shorter time_out, three
+/// members could give up in turn for ever, because each finds the others within the margin of their deadlines.
 const fn patience(members: usize, margin: u64) -> u64 {
     if members == 2 { margin + DELAY as u64 + 1 } else { 3 * (margin + DELAY as u64) }
 }

@@ -1,22 +1,22 @@
-//! Pinned numbers that the searches must find. A search that finds another number makes its verdict unexpected, so every
-//! change that makes the protocol weaker or stronger is noticed.
+//! Pinned numbers that the searches must find. If a search finds another number, its verdict is unexpected, so every change
+//! that makes the protocol weaker or stronger is noticed.
 
 use crate::report::Found;
 
 /// The key of a pinned number: claim, rule, parties, lost packets.
 type Row = (&'static str, &'static str, u32, u32);
 
-/// The fewest losses that strand a member: if every packet is sent once, and with retransmission.
+/// The fewest losses that strand a member (leave it waiting after all have arrived), without and with retransmission.
 const fn losses(once: u32, again: Option<u32>) -> Found {
     Found { least_losses_to_strand: Some(once), least_losses_with_resending: again, ..Found::NOTHING }
 }
 
-/// The least margin that holds, and the closed form (D56).
+/// The least margin that holds, and the margin of the closed form (D56).
 const fn margin(least: u64, closed: u64) -> Found {
     Found { least_safe_margin: Some(least), closed_form_margin: Some(closed), ..Found::NOTHING }
 }
 
-/// The least TTL with which a message is served, and the closed form K (D59).
+/// The least TTL with which a message is served, and the TTL of the closed form (D59).
 const fn ttl(least: u64, closed: u64) -> Found {
     Found { least_bound_ticks: Some(least), bound_ticks: Some(closed), ..Found::NOTHING }
 }
@@ -31,7 +31,7 @@ const ALL_OR_NONE: &str = "all-or-none";
 const FAIR: &str = "penalty-is-fair";
 const AGAIN: &str = "they-meet-again";
 const ACTIVE: &str = "one-active";
-/// The number of lost packets of a row with any number of losses.
+/// The number of lost packets in the key of a row that allows any number of losses.
 const ANY: u32 = u8::MAX as u32;
 const OFF: &str = "default, late timer and charge";
 
@@ -110,7 +110,7 @@ mod tests {
         assert!(agrees(("all-or-none", "default", 9, 0), &Found::NOTHING));
     }
 
-    /// A margin below its closed form differs from the pinned margin all the same.
+    /// A couple's margin is pinned, too: a margin below the closed form is noticed if it is not the pinned one.
     #[test]
     fn the_margin_of_a_couple_is_written_down_too() {
         let row = (ACTIVE, "default, slow link and a copy", 2, ANY);

@@ -215,7 +215,7 @@ fn penalty_is_fair() -> Vec<Claim> {
     ]
 }
 
-/// A plan whose watched message has a given TTL, and the TTL that is surely long enough.
+/// A kind of scenario whose watched message gets a TTL, and which knows a TTL that is surely long enough.
 trait TtlPlan: Clone + Send + Sync + 'static {
     fn part(&self) -> Part;
     fn closed_form(&self) -> u64;
@@ -246,8 +246,8 @@ impl TtlPlan for Workshop {
     }
 }
 
-/// The claim that a message whose TTL is K is served. The least such TTL is searched for; the variant that must fail has one
-/// tick less (D59).
+/// The claim that a message is served if its TTL is that of the closed form. The search finds the least TTL that is served.
+/// The variant that must fail has one tick less (D59).
 fn served_claim<L: TtlPlan>(
     rule: &'static str,
     smoke: bool,
@@ -267,7 +267,7 @@ fn served_claim<L: TtlPlan>(
 fn least_ttl<L: TtlPlan>(work: &mut Work<'_>, with: &impl Fn(u8) -> L) -> Settled {
     let closed = u8::try_from(with(1).closed_form()).unwrap_or(u8::MAX);
     let mut settled = settle(work, &[with(closed).part()]);
-    // The search goes down from the closed form. The last TTL that holds is the least, and the one below it is the
+    // The search goes down from the closed form. The last TTL that holds is the least one, and the TTL below it gives the
     // counterexample.
     let mut least = closed;
     let mut below = None;
@@ -341,12 +341,12 @@ fn literal_penalty() -> Vec<Claim> {
     ]
 }
 
-/// A penalty as long as the wait for the next offer, and the same penalty added to the remaining time.
+/// The penalty and whether it is literal: then the same time is also added to the remaining time.
 const PENALTY: (u64, bool) = (2, false);
 const LITERAL: (u64, bool) = (PENALTY.0, true);
 
-/// The claim about the literal penalty: it adds to the remaining time as much as each wait takes, so the message neither
-/// expires nor is taken. The search covers the whole state space. A penalty of zero adds nothing.
+/// The claim about the literal penalty: it adds to a message's remaining time as much as each wait takes, so the message
+/// neither expires nor is taken. The search covers the whole state space. A penalty of zero adds nothing.
 fn never_expires() -> Claim {
     let about = "each rejection adds as much time as passes until the next offer: rejected again and again, a message never expires (D4)";
     let row = ("no-stale-delivery", "literal time_penalty, for ever", about);

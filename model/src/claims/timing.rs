@@ -1,5 +1,5 @@
-//! Claims about time: nothing waits for ever (§5.1.2), and what holds if packets are charged more than they take and
-//! timers fire late (D42, D56).
+//! Claims about time: no task waits for ever (§5.1.2), and the claims that hold even if packets are charged more than they
+//! take and timers fire late (D42, D56).
 
 use super::Claim;
 use super::exchange::{claim, commands as exchange_of};

@@ -84,18 +84,18 @@ impl World {
         self.store_as(Form::Plain)
     }
 
-    /// Packs the state in this form.
+    /// Packs the state in the given form.
     pub fn store_as(&mut self, form: Form<'_>) -> Packed {
         match self.try_store(form) {
             Ok(packed) => packed,
-            // A relative number outgrew its field. The result is an absorbing violation, never a saturated value.
+            // If a relative number outgrows its field, the result is an absorbing violation, never a saturated value.
             Err(Overflow) => Packed(Box::new([Violation::Overflow.code(), 0, 0, 0, 0])),
         }
     }
 
     fn try_store(&mut self, form: Form<'_>) -> Result<Packed, Overflow> {
         if let Some(violation) = self.violation {
-            // An absorbing state has no successors, so no other part of it needs to be kept.
+            // The violating state has no successors, so no other part of it needs to be kept.
             return Ok(Packed(Box::new([violation.code(), 0, 0, 0, 0])));
         }
         if self.done {
@@ -167,7 +167,8 @@ impl World {
         Ok(Packed(bytes.into_boxed_slice()))
     }
 
-    /// Unpacks the nodes that are still packed, because the round or sequence to which their numbers are relative has moved.
+    /// Unpacks the nodes that are still packed, because the round or sequence number to which their numbers are relative
+    /// has moved.
     fn load_rest(&mut self) {
         for i in 0..self.n() {
             if !self.loaded[i] {
@@ -182,20 +183,20 @@ impl World {
         }
     }
 
-    /// Whether no running node can crash any more. If one could, its next incarnation might notice packets that the present
-    /// one ignores.
+    /// Whether no running node can crash any more. If a node could crash, its next incarnation might notice packets that
+    /// the present incarnation ignores.
     fn is_settled(&self) -> bool {
         !self.scenario.incarnations() || self.crash == 0
     }
 
     /// Whether both nodes are up and node `i` knows the present incarnation of node `of`, so that no envelope from `of`
-    /// brings news.
+    /// reports a new incarnation.
     fn knows(&self, i: usize, of: usize) -> bool {
         let up = self.nodes[i].up && self.nodes[of].up;
         !self.scenario.incarnations() || (up && self.nodes[i].known[of] == self.nodes[of].incarnation)
     }
 
-    /// Whether the tasks at the ends of a packet have heard each other in their present incarnations.
+    /// Whether the tasks at both ends of a packet have heard from each other in their present incarnations.
     fn acquainted(&self, carried: &InFlight) -> bool {
         let (from, to) = (carried.packet.source, carried.packet.destination);
         let heard = |at: TaskId, of: TaskId| {
@@ -237,15 +238,15 @@ impl World {
         if self.scenario.incarnations() && self.nodes[to].up && carried.incarnation != known {
             return carried.incarnation.0 < known.0;
         }
-        // A member that has left a round ignores CONFIRMs of it, even if it still owes one itself.
+        // A member that has left a round ignores CONFIRMs of that round, even if it still owes one itself.
         let confirmed =
             packet.kind == Kind::Confirm && self.task(to).is_over(packet.port, packet.meeting().round);
         let ignores = || self.task(to).ignores(&self.nodes[to].table, packet, self.task(from));
         self.nodes[to].up && (confirmed || (self.acquainted(carried) && ignores()))
     }
 
-    /// The first CONFIRM of a round releases a member that waits in it; the member ignores later ones. So only the oldest
-    /// CONFIRMs in flight to a member are kept: one more than can still be lost.
+    /// The first CONFIRM of a round releases a member that waits in that round, and the member ignores later ones. So only
+    /// the oldest CONFIRMs in flight to a member are kept: one more than the number of packets that can still be lost.
     fn drop_more_confirms(&mut self) {
         let enough = usize::from(self.loss) + 1;
         let releases: Vec<bool> = self.in_flight.iter().map(|carried| self.releases(carried)).collect();
@@ -301,7 +302,7 @@ impl World {
         (rounds, sequences)
     }
 
-    /// Drops what the packed form of the state would leave out, without packing it.
+    /// Drops everything that the packed form of the state would leave out, without packing the state.
     pub fn tidy(&mut self) {
         if self.scenario.reductions.ignores && self.is_settled() && self.violation.is_none() {
             for place in &mut self.nodes {
@@ -312,7 +313,8 @@ impl World {
         self.tidy_turns();
     }
 
-    /// Lets the nodes take turns in the order `named`: the order of the members in the state that was packed last.
+    /// Lets the nodes take turns in the order of `named`, which is the order of the members in the state that was packed
+    /// last.
     pub fn reorder(&mut self, named: &[usize]) {
         self.order.clear();
         self.order.extend(named);
@@ -327,7 +329,7 @@ const OWED: u8 = 0x40;
 /// The form in which a state is packed.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Form<'a> {
-    /// One form for all states that the reductions identify.
+    /// The same form for all states that the reductions treat as equal.
     Canonical,
     /// As `Canonical`, but with the turns unchanged: for tests.
     Plain,
@@ -335,7 +337,7 @@ pub(crate) enum Form<'a> {
     Named(&'a [usize]),
 }
 
-/// A pass that moves the rounds of a new node to the base of this world's rounds.
+/// A pass that moves the rounds of a new node to the round from which this world counts.
 pub(super) struct FromBase(pub Round);
 
 impl Walk for FromBase {
@@ -346,14 +348,14 @@ impl Walk for FromBase {
     }
 }
 
-/// Packs a node: its length, its least round with two flags, whether it is up, its incarnations, its task.
+/// Packs a node: its length, its least round with two flags, whether it is up, its incarnations, and its task.
 fn store_node_state(place: &mut NodeState, frame: &Frame<'_>, out: &mut Vec<u8>) -> Result<(), Overflow> {
     let mut least = Least(vec![None; frame.rounds.len()]);
     let task = &mut place.node.parts_mut().tasks[0];
     if place.up {
         task.walk(&place.table, &mut least);
     }
-    // A node that is down has no task. The task in `place` belongs to a state that was loaded before.
+    // A node that is down has no task. The task in `place` is left over from a state that was loaded before.
     let low = least.0.first().copied().flatten().map_or(0, |round| round.steps_from(frame.rounds[0]));
     out.extend([0, u8::try_from(low).ok().filter(|low| low & (OPEN | OWED) == 0).ok_or(Overflow)?]);
     Encode::append(out, frame, |w| walk_node_state(place, w))?;

@@ -1,4 +1,4 @@
-//! The members of a world's meeting: what each left, and how they would meet on one node.
+//! The members of a world's meeting: which rounds each member left, and how the members would meet on one node.
 
 use super::World;
 use crate::fused::{are_same, count};
@@ -10,7 +10,7 @@ use imrs_protocol::{
 };
 use std::sync::Arc;
 
-/// A node with all members of a meeting; `None` if the scenario is none.
+/// A node on which all members of a meeting run; `None` if the scenario is no meeting.
 pub(super) fn together(scenario: &Scenario) -> Option<Node> {
     let mut cell = scenario.is_meeting().then(|| scenario.cell.cell().clone())?;
     let node = NodeId::from_index(0);
@@ -20,7 +20,7 @@ pub(super) fn together(scenario: &Scenario) -> Option<Node> {
 }
 
 impl World {
-    /// The rounds that members other than `i` announced and no longer wait in, as a bit mask.
+    /// The rounds that members other than `i` announced and in which they no longer wait, as a bit mask.
     pub(super) fn left_by_others(&self, i: usize) -> u32 {
         let others = (0..self.n()).filter(|&other| other != i);
         others.fold(0, |mask, other| {
@@ -34,7 +34,7 @@ impl World {
         })
     }
 
-    /// Compares an arrival of a task in a packed state, if that is in the sample.
+    /// Compares the arrival of a task in a packed state, if the state is in the sample: see `compare_arrival`.
     pub fn compare_in(&mut self, state: &Packed, i: usize) -> Result<(), Violation> {
         if self.together.is_none() {
             return Ok(());
@@ -43,8 +43,8 @@ impl World {
         self.compare_arrival(i)
     }
 
-    /// Compares the fused step in which a task reaches the waitfor with its small steps, as if all members were on one node in
-    /// their present states (D193). Packets in flight stay out of it.
+    /// Compares the fused step in which a task reaches the waitfor with its small steps, as if all members were on one node
+    /// in their present states (D193). Packets in flight take no part in this.
     fn compare_arrival(&self, i: usize) -> Result<(), Violation> {
         let Behaviour::Member { port, .. } = self.scenario.behaviours[i] else { return Ok(()) };
         let is_awake = self.nodes.iter().all(|place| place.up && place.owed == 0);
@@ -66,7 +66,7 @@ impl World {
     }
 }
 
-/// What a step of members on one node showed. None sends anything over a link.
+/// What happened in a step of members on one node. No member sends anything over a link.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Did {
     signals: Vec<(TaskId, Signal)>,

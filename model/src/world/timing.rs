@@ -34,7 +34,7 @@ impl World {
         Ok(())
     }
 
-    /// Counts a tick in the specification state: true remaining times, and how long each wait has lasted.
+    /// Counts a tick for a task in its specification state: true remaining times, and how long each wait has lasted.
     fn count_tick(&mut self, i: usize) -> Result<(), Violation> {
         let lateness = Ticks(1 + u64::from(self.scenario.timing.late > 0));
         let limit = self.patience(i) + lateness;
@@ -64,7 +64,7 @@ impl World {
         Ok(())
     }
 
-    /// Sets a node's clock back to its initial offset, because states distinguish offsets between clocks, and not how long
+    /// Sets a node's clock back to its initial offset, because packed states hold offsets between clocks, and not how long
     /// the clocks have run. [`World::tick`] subtracts the same tick from absolute time stamps in flight.
     fn keep_clock(&mut self, i: usize) {
         let ahead = Ticks(self.scenario.clocks[i]);
@@ -87,8 +87,8 @@ impl World {
         }
     }
 
-    /// Maps a packet's sequence number to the latest message that has it, if sequence numbers wrap after `wrap` messages (a
-    /// variant).
+    /// Maps a packet's sequence number to the latest message with this number, under the variant in which sequence numbers
+    /// wrap after `wrap` messages.
     pub(super) fn wrap_around(&self, carried: &mut InFlight) {
         let Some(wrap) = self.scenario.wrap.map(u32::from) else { return };
         let source = match carried.packet.kind {
@@ -103,7 +103,7 @@ impl World {
     }
 
     /// A bound on the steps between two ticks: for each round that a task can begin, and for each packet in flight, a node
-    /// sends at most two packets to each other node; each packet arrives once.
+    /// sends at most two packets to each other node. Each of these packets arrives once.
     pub(super) fn most_steps(&self) -> u16 {
         let n = self.n();
         let attempts = |behaviour: &Behaviour| match behaviour {

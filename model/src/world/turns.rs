@@ -1,15 +1,15 @@
 //! A partial-order reduction: one interleaving of the steps between two ticks instead of all of them.
 //!
-//! Steps at different nodes between two ticks commute, unless one node sends a packet that the other receives. So
-//! only one interleaving is explored: the nodes take turns. In its turn a node makes any number of steps. Then it is
-//! *closed* until a packet arrives for it that was sent after its turn, a *fresh* one. Every run has such an
-//! interleaving: at a turn's end the node's next step, if it has one in this tick, needs a packet that has not been
-//! sent yet. The order of the turns may be any function of the state.
+//! Steps at different nodes between two ticks commute, unless one node sends a packet that the other receives. So only one
+//! interleaving is explored: the nodes take turns. In its turn a node makes any number of steps. Then the node is *closed*
+//! until a *fresh* packet arrives for it: one that was sent after the node's turn. Every run has such an interleaving: when
+//! a node's turn ends, the node's next step in this tick, if it has one, needs a packet that has not been sent yet. The
+//! order of the turns may be any function of the state.
 //!
-//! The reduction keeps a property's verdict if the property does not depend on the order of independent steps. It also keeps
-//! the verdict if a violation at a step already shows after only those steps on which it depends, because every such prefix
-//! of a run is explored, too. A loss waits for the last moment before a tick. A crash, a restart and the end of faults are
-//! barriers: afterwards all nodes are open.
+//! The reduction keeps a property's verdict if the property does not depend on the order of independent steps. It also
+//! keeps the verdict if a violation at a step already shows after only those steps on which it depends, because every such
+//! prefix of a run is explored, too. A loss happens at the last moment before a tick. A crash, a restart and the end of
+//! faults are barriers: after them all nodes are open.
 
 use super::{Action, World, small};
 use crate::scenario::Watch;
@@ -17,13 +17,13 @@ use crate::scenario::Watch;
 impl World {
     /// Whether the reduction by turns is on.
     pub(super) fn takes_turns(&self) -> bool {
-        // The property `Stale` depends on what another node knows when a message is handed over, so for it the order of
-        // steps matters.
+        // The property `Stale` depends on what another node knows when a message is handed over, so for this property the
+        // order of steps matters.
         self.scenario.reductions.turns && self.scenario.delay.is_some() && self.scenario.watch != Watch::Stale
     }
 
     /// Lists the enabled transitions: first the steps of each node, each of which closes every node before it in the order;
-    /// then those that need all nodes closed.
+    /// then the transitions that need all nodes closed.
     pub(super) fn actions_in_turns(&self, actions: &mut Vec<Action>) {
         for &i in &self.order {
             self.events(i, actions);
@@ -36,13 +36,13 @@ impl World {
         for (at, carried) in self.in_flight.iter().enumerate() {
             overdue += usize::from(carried.age >= delay);
             let again = at > 0 && self.in_flight[at - 1] == *carried;
-            // If the faults may end, a packet of any age may be lost just before that.
+            // If the faults may end, a packet of any age may be lost just before the faults end.
             if self.loss > 0 && !self.healed && !again && (may_heal || carried.age >= delay) {
                 actions.push(Action::Lose(small(at)));
             }
         }
         if !may_heal && overdue > 0 {
-            // All overdue packets must be lost before time passes. It is enough to try one order of these losses.
+            // All overdue packets must be lost before time passes. One order of these losses is enough.
             let enough = overdue <= usize::from(self.loss);
             actions.truncate(before + usize::from(enough));
         }
@@ -108,8 +108,8 @@ impl World {
         here.for_each(|carried| carried.fresh = false);
     }
 
-    /// Makes the turns canonical: a node with nothing to do is closed, and a node that has only fresh packets to take is
-    /// open.
+    /// Makes the turns canonical: a node with nothing to do counts as closed, and a node that has only fresh packets to
+    /// take counts as open.
     pub(super) fn tidy_turns(&mut self) {
         if !self.takes_turns() {
             return;

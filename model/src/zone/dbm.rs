@@ -1,19 +1,19 @@
-//! Difference-bound matrices over integers: sets of points that bounds on differences of variables describe.
+//! Difference-bound matrices over integers: each describes a set of points by bounds on differences of variables.
 
 use std::fmt;
 
-/// No bound.
+/// The value that stands for no bound.
 const FREE: i64 = i64::MAX;
 
-/// A non-empty set of integer points. For each pair of variables it holds the least `c` with `x_i - x_j <= c` at all points
-/// (closed), so two matrices are equal exactly if their sets are. The first variable is zero.
+/// A non-empty set of integer points. For each pair of variables the matrix holds the least `c` with `x_i - x_j <= c` at
+/// all points (closed), so two matrices are equal exactly if their sets are. The first variable is zero.
 #[derive(Clone, PartialEq, Eq, Hash)]
 pub(crate) struct Dbm {
     len: usize,
     bounds: Vec<i64>,
 }
 
-/// A constraint made the set empty.
+/// The error that a constraint would make the set empty.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Empty;
 
@@ -29,12 +29,12 @@ const fn plus(a: i64, b: i64) -> i64 {
 }
 
 impl Dbm {
-    /// The variable zero alone.
+    /// The set that has only the variable zero.
     pub fn zero() -> Self {
         Self { len: 1, bounds: vec![0] }
     }
 
-    /// How many variables there are, zero included.
+    /// The number of variables, including the variable zero.
     pub const fn len(&self) -> usize {
         self.len
     }
@@ -43,7 +43,7 @@ impl Dbm {
         self.bounds.as_slice()[i * self.len + j]
     }
 
-    /// The least `c` with `x_i - x_j <= c`; `None`: there is none.
+    /// The least `c` with `x_i - x_j <= c` at all points; `None` if there is no such bound.
     pub fn bound(&self, i: usize, j: usize) -> Option<i64> {
         Some(self.at(i, j)).filter(|&bound| bound != FREE)
     }
@@ -76,10 +76,10 @@ impl Dbm {
         old
     }
 
-    /// Keeps the points with `x_i - x_j <= c`.
+    /// Keeps only the points with `x_i - x_j <= c`.
     ///
     /// # Errors
-    /// [`Empty`] if there is none. The matrix is then as before.
+    /// [`Empty`] if there is no such point. Then the matrix does not change.
     pub fn constrain(&mut self, i: usize, j: usize, c: i64) -> Result<(), Empty> {
         if self.entails(i, j, c) {
             return Ok(());
@@ -103,19 +103,19 @@ impl Dbm {
         Ok(())
     }
 
-    /// The set of the values of these terms, each a variable and an offset. The first term is subtracted from all of them, and is
-    /// the zero of the result. Variables that are not among the terms are forgotten.
+    /// The set of the values of these terms, each a variable and an offset. The first term is subtracted from all terms,
+    /// and becomes the variable zero of the result. Variables that are not among the terms are forgotten.
     pub fn project(&self, terms: &[(usize, i64)]) -> Self {
         let of = |&(i, a): &(usize, i64)| terms.iter().map(move |&(j, b)| plus(self.at(i, j), a - b));
         Self { len: terms.len(), bounds: terms.iter().flat_map(of).collect() }
     }
 
-    /// Whether all points of this set are in the other one.
+    /// Whether all points of this set are also in `other`.
     pub fn is_in(&self, other: &Self) -> bool {
         self.len == other.len && self.bounds.iter().zip(&other.bounds).all(|(mine, others)| mine <= others)
     }
 
-    /// The least such set that has all points of both.
+    /// The least set of this kind that contains all points of both sets.
     pub fn hull(&self, other: &Self) -> Self {
         let bounds = self.bounds.iter().zip(&other.bounds).map(|(&a, &b)| a.max(b)).collect();
         Self { len: self.len, bounds }
@@ -190,7 +190,8 @@ impl Dbm {
             let known = || values.iter().enumerate();
             let least = known().filter_map(|(j, &value)| Some(value - self.bound(j, i)?)).max();
             let most = known().filter_map(|(j, &value)| Some(value + self.bound(i, j)?)).min();
-            // In a closed matrix any value between the bounds that the earlier values leave extends to a point.
+            // Any value within the bounds that the earlier values leave can be completed to a point, because the matrix is
+            // closed.
             values.push(least.or(most).unwrap_or(0));
         }
         values
@@ -229,14 +230,15 @@ mod tests {
 
     type Points = BTreeSet<[i64; 4]>;
 
-    /// The values that points are enumerated over: no drawn bound reaches them all.
+    /// The values over which the test enumerates points. No drawn bound excludes all of them.
     const VALUES: std::ops::RangeInclusive<i64> = -4..=4;
 
     fn all() -> impl Iterator<Item = [i64; 4]> {
         VALUES.flat_map(|a| VALUES.flat_map(move |b| VALUES.map(move |c| [0, a, b, c])))
     }
 
-    /// All values are within `VALUES`, and some drawn bounds hold; `None` if no point is left.
+    /// A set in which all variables are within `VALUES` and some random bounds hold, with its points; `None` if no point is
+    /// left.
     fn drawn(rng: &mut fastrand::Rng) -> Option<(Dbm, Points)> {
         let mut dbm = Dbm::zero();
         let mut points: Points = all().collect();

@@ -1,7 +1,7 @@
 //! Runs code on the variables of a zone, once for each feasible sequence of answers to its comparisons.
 //!
-//! A run is not copied at a fork. It is made again from the start, with the answers given before (as loom does with schedules): so
-//! the code must be deterministic but for its answers.
+//! A run is not copied at a fork. Instead, the code runs again from the start with the same answers up to the fork (as loom
+//! does with schedules). So the code must depend on nothing but the answers.
 
 use super::dbm::{Dbm, Empty};
 use super::times::{Times, symbol_of};
@@ -10,34 +10,34 @@ use imrs_protocol::symbolic::{self, START, Symbol, Time, Zone};
 use std::cell::{RefCell, RefMut};
 use std::rc::Rc;
 
-/// An answer among several: which one, and how many there are.
+/// One of several answers to a comparison: its number, and how many answers there are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Answer {
     taken: u16,
     among: u16,
 }
 
-/// The zone of the run, cut by the answers so far.
+/// The zone of a run, restricted by the answers so far.
 #[derive(Debug)]
 pub(crate) struct Cut {
     zone: Dbm,
     answers: Vec<Answer>,
-    /// How many of the answers this run has used.
+    /// How many of the given answers the run has used.
     used: usize,
     /// The variables that may stand for more values than they can have.
     loose: Vec<u8>,
-    /// Whether none of these has decided anything, and none is among the times of the packed state.
+    /// Whether no variable of `loose` has decided an answer, and none is among the times of the packed state.
     is_exact: bool,
-    /// The times of the state that is read or packed.
+    /// The times of the state that is being read or packed.
     pub(super) times: Times,
 }
 
-/// A handle on the zone of the run, for the code that runs.
+/// A handle on the zone of the run, which the running code uses.
 #[derive(Clone, Debug)]
 pub(crate) struct Forks(Rc<RefCell<Cut>>);
 
-/// Runs `run` for each sequence of answers that some point of the zone gives, and passes its results to `found`, together with the
-/// part of the zone that gives these answers.
+/// Runs `run` for each sequence of answers that some point of the zone gives, and passes each result to `found`, together
+/// with the part of the zone that gives these answers.
 pub(crate) fn each<R>(zone: &Dbm, mut run: impl FnMut(&Forks) -> R, mut found: impl FnMut(R, &Cut)) {
     let mut answers = Vec::new();
     loop {
@@ -46,7 +46,7 @@ pub(crate) fn each<R>(zone: &Dbm, mut run: impl FnMut(&Forks) -> R, mut found: i
         let mut cut = forks.0.borrow_mut();
         found(result, &cut);
         answers = std::mem::take(&mut cut.answers);
-        // An answer of an earlier run that this one did not ask for would be a choice lost.
+        // An answer of an earlier run for which this run did not ask would be a lost choice.
         answers.truncate(cut.used);
         while answers.last().is_some_and(|last| last.taken + 1 == last.among) {
             answers.pop();
@@ -67,8 +67,8 @@ pub(crate) fn again<R>(zone: &Dbm, answers: &[u16], run: impl FnOnce(&Forks) -> 
     (result, zone)
 }
 
-/// Runs `run` if the zone decides all its comparisons, and if nothing in it is inexact. Returns the times of the state that it packs,
-/// too.
+/// Runs `run` if the zone decides all its comparisons, and if nothing in the run is inexact. Also returns the times of the
+/// state that `run` packs.
 pub(crate) fn decided<R>(zone: &Dbm, run: impl FnOnce() -> R) -> Option<(R, Dbm)> {
     let forks = Forks::new(zone.clone(), Vec::new());
     let result = forks.within(run);
@@ -85,12 +85,12 @@ impl Forks {
         symbolic::within(Rc::<RefCell<Cut>>::clone(&self.0), run)
     }
 
-    /// The zone now. Compare no symbols while it is borrowed.
+    /// The zone as it is now. While it is borrowed, no symbols may be compared.
     pub fn cut(&self) -> RefMut<'_, Cut> {
         self.0.borrow_mut()
     }
 
-    /// Chooses one of `among` alternatives, at least one: each of them is taken in some run.
+    /// Chooses one of `among` alternatives (at least one). Each alternative is taken in some run.
     pub fn choose(&self, among: usize) -> usize {
         self.cut().answer(u16::try_from(among).unwrap_or(u16::MAX)).into()
     }
@@ -128,7 +128,7 @@ impl Cut {
         }
     }
 
-    /// Two variables and an offset that make the difference of two symbols.
+    /// The two variables and the offset that make the difference of two symbols; `None` if it needs more variables.
     const fn between(one: Symbol, other: Symbol) -> Option<(u8, u8, i64)> {
         let offset = one.offset - other.offset;
         match (one, other) {
@@ -140,7 +140,7 @@ impl Cut {
         }
     }
 
-    /// Keeps the points at which one time is at most another one; false if that takes more than two variables.
+    /// Keeps the points at which one time is at most another one; false if this would need more than two variables.
     pub fn keep_at_most(&mut self, one: Symbol, other: Symbol) -> Result<bool, Empty> {
         let Some((i, j, offset)) = Self::between(one, other) else { return Ok(false) };
         self.decides(i);
@@ -148,17 +148,17 @@ impl Cut {
         self.zone.constrain(i.into(), j.into(), -offset).map(|()| true)
     }
 
-    /// The answers so far: with these, [`again`] runs the same.
+    /// The answers so far. With these answers, [`again`] makes the same run.
     pub fn answers(&self) -> Vec<u16> {
         self.answers[..self.used].iter().map(|answer| answer.taken).collect()
     }
 
-    /// Whether all that the run did, and each point of the zone at its end, is possible.
+    /// Whether everything that the run did, and each point of the zone at its end, is really possible.
     pub const fn is_exact(&self) -> bool {
         self.is_exact
     }
 
-    /// Notes that the values of a variable have decided something.
+    /// Notes that the values of a variable have decided an answer.
     pub(super) fn decides(&mut self, variable: u8) {
         self.is_exact &= !self.loose.contains(&variable);
     }
@@ -190,7 +190,7 @@ impl Cut {
         self.zone.difference(first.into(), second.into())
     }
 
-    /// One variable, and an offset from it, that have the value of `first - second` and of a third variable together.
+    /// A variable and an offset from it that together stand for `first - second` plus a third variable.
     pub fn moved(&mut self, by: u8, first: u8, second: u8) -> (u8, i64) {
         if let Some(value) = self.difference(by, second) {
             return (first, value);
@@ -201,8 +201,8 @@ impl Cut {
         (self.named([by, first], [second, symbolic::START]), 0)
     }
 
-    /// A new variable for the sum of two variables less two others. What is known of pairs of these bounds it. It may have values
-    /// that the sum has not.
+    /// A new variable for the sum of two variables less two others. Its bounds follow from what is known of pairs of these
+    /// variables. It may have values that the sum cannot have.
     fn named(&mut self, plus: [u8; 2], less: [u8; 2]) -> u8 {
         let [plus, less] = [plus, less].map(|pair| pair.map(usize::from));
         let bounds = |other: usize| {
@@ -223,7 +223,7 @@ impl Cut {
         new
     }
 
-    /// A bound on the sum of three variables less three others: the least of those by pairs.
+    /// A bound on the sum of three variables less three others: the least of the bounds that follow from pairs.
     fn most(&self, plus: [usize; 3], less: [usize; 3]) -> Option<i64> {
         const WAYS: [[usize; 3]; 6] = [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
         let by = |way: [usize; 3]| plus.iter().zip(way).map(|(&i, j)| self.zone.bound(i, less[j])).sum();
@@ -232,7 +232,7 @@ impl Cut {
 }
 
 impl Cut {
-    /// Whether a symbol is negative. If both are possible, this is one more answer.
+    /// Whether a symbol is negative. If both are possible in the zone, this is a further answer of the run.
     pub(super) fn asks_negative(&mut self, symbol: Symbol) -> bool {
         let Symbol { first, second, offset } = symbol;
         let (i, j) = (usize::from(first), usize::from(second));
@@ -284,7 +284,7 @@ mod tests {
     use imrs_protocol::{Instant, Ticks};
     use std::collections::BTreeMap;
 
-    /// Three variables, each from 1 to its bound.
+    /// A zone of three variables, each from 1 to its bound.
     fn boxed(bounds: [i64; 3]) -> Dbm {
         let mut zone = Dbm::zero();
         for bound in bounds {
@@ -295,7 +295,7 @@ mod tests {
         zone
     }
 
-    /// The order of three instants, some sums, differences and quotients of them.
+    /// The order of three instants, and some sums, differences and quotients of them.
     fn compared(at: [Instant; 3]) -> Vec<u64> {
         let [a, b, c] = at;
         let mut sorted = vec![(a, 0_u64), (b, 1), (c, 2)];
@@ -320,7 +320,7 @@ mod tests {
             |_| compared(names),
             |facts, cut| {
                 runs += 1;
-                // A variable that stands for a sum of three comes after these.
+                // A variable that stands for a sum of three variables comes after the first four.
                 let only = cut.zone.project(&[(0, 0), (1, 0), (2, 0), (3, 0)]);
                 assert!(cut.is_exact() || cut.zone.len() > 4);
                 parts.push((only, facts));
@@ -345,7 +345,7 @@ mod tests {
         let run = |forks: &Forks| {
             let first = forks.choose(3);
             let early = symbolic::instant(1) < Instant(3);
-            // What is known is not asked again.
+            // The run does not ask again what it already knows.
             assert_eq!(early, symbolic::instant(1) <= Instant(2));
             (first, early, if early { forks.choose(2) } else { 9 })
         };
@@ -361,7 +361,7 @@ mod tests {
 
     #[test]
     fn a_variable_for_three_has_all_values_of_their_sum() {
-        // y is x or one later, and so is z: what is known of pairs leaves the sums of all three open.
+        // `y` is `x` or one later, and so is `z`. What is known of pairs does not determine the sums of all three.
         let mut zone = boxed([9, 9, 9]);
         zone.constrain(2, 1, 1).unwrap();
         zone.constrain(1, 2, 0).unwrap();

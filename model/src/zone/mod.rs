@@ -1,4 +1,4 @@
-//! Zones: sets of times at which a step does the same.
+//! Zones: sets of times at which a step of the state machine behaves in the same way.
 //!
 //! ```text
 //!   dbm     the sets: bounds on differences of integers, closed; inclusion, projection, exact union
@@ -6,8 +6,8 @@
 //!   times   the times of a packed state: its bytes say where there are times, its zone which ones
 //! ```
 //!
-//! The code that runs is the machine itself: its times are symbols (`imrs_protocol::symbolic`), and a comparison whose answer
-//! differs within the zone forks.
+//! The code that runs is the state machine itself. Its times are symbols (`imrs_protocol::symbolic`). If a comparison has
+//! different answers within the zone, the run forks.
 
 pub(crate) mod dbm;
 pub(crate) mod forks;

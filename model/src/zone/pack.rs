@@ -1,17 +1,17 @@
-//! Packs the times of a state: a byte for each, and a term for what the byte leaves open.
+//! Packs the times of a state: one byte for each time, and a term for what the byte leaves open.
 
 use super::forks::Cut;
 use super::times::{Term, Times};
 use imrs_protocol::symbolic::{START, Symbol, Time};
 
-/// A time that is past, and makes no difference any more.
+/// The byte of a time that is past, and no longer makes a difference.
 const PAST: u8 = 0;
-/// A time that a variable of the zone stands for.
+/// The byte of a time for which a variable of the zone stands.
 const KNOWN: u8 = 1;
 const NEVER: u8 = 2;
 
 impl Cut {
-    /// Begins to pack a state whose present is at this symbol.
+    /// Begins to pack a state. `now` is the present instant.
     pub fn begin_to_pack(&mut self, now: Term) {
         self.times = Times { now, ..Times::default() };
     }
@@ -25,7 +25,7 @@ impl Cut {
         let now = self.times.now;
         let (from, symbol) = match (time, symbol) {
             (Time::Remaining, _) => (self.times.sent.take().unwrap_or(now), symbol),
-            // It was sent so long before.
+            // The age says how long before the present the packet was sent.
             (Time::Age, Some(Symbol { first, second, offset })) => {
                 (now, Some(Symbol { first: second, second: first, offset: -offset }))
             }

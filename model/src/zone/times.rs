@@ -1,7 +1,7 @@
 //! The times of a packed state: its bytes say where there are times, and its zone says which ones.
 //!
-//! Each time is a variable of its own, in the order of packing, and zero is the present. So states whose times differ by
-//! constants, too, have the same bytes, and their zones can be compared and merged.
+//! Each time is a variable of its own, in the order of packing, and zero is the present instant. So even states whose times
+//! differ by constants have the same bytes, and their zones can be compared and merged.
 
 use imrs_protocol::Ticks;
 use imrs_protocol::symbolic::{self, START, Symbol};
@@ -9,10 +9,10 @@ use imrs_protocol::symbolic::{self, START, Symbol};
 /// A variable and an offset.
 pub(super) type Term = (u8, i64);
 
-/// The instants of a state that is packed, or how many times of a packed state were read.
+/// The times of a state that is being packed; or, of a packed state, how many times were already read.
 #[derive(Debug, Default)]
 pub(crate) struct Times {
-    /// The present.
+    /// The present instant.
     pub(super) now: Term,
     pub(super) terms: Vec<Term>,
     pub(super) read: usize,

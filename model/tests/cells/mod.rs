@@ -10,14 +10,14 @@ use imrs_protocol::script::Address;
 use imrs_protocol::{CellTable, TaskId, Ticks};
 use std::sync::Arc;
 
-/// A budget that bounds a search by states. If seconds bounded it, it could end early on a busy machine, or take coarser
-/// times.
+/// A budget that bounds a search by states. If seconds bounded the search, it could end early on a busy machine, or use
+/// coarser times.
 pub const fn within(states: u64) -> Budget {
     Budget { states, seconds: f64::INFINITY, bytes: 4 << 30 }
 }
 
-/// Whether two findings are about the same statement or check, whichever of several tasks with equal statements they
-/// name. Starvation is judged on one path only, so it counts as a time_out.
+/// Whether two findings are about the same statement or check, even if they name different tasks with equal statements.
+/// Starvation is judged on one path only, so it counts as a time_out.
 pub fn is_alike(one: &Finding, other: &Finding) -> bool {
     let about = |finding: &Finding| {
         let kind = if finding.kind == Kind::Starves { Kind::TimeOut } else { finding.kind };
@@ -100,7 +100,7 @@ impl Text {
         Self { text: text.into(), lowered, couples, plan }
     }
 
-    /// Checks the cell.
+    /// Checks the cell with the model checker.
     pub fn check(&self) -> Verdicts {
         let verdicts = check_cell(&Arc::new(self.plan.clone()));
         for phase in &verdicts.phases {
@@ -123,8 +123,8 @@ impl Text {
         verdicts
     }
 
-    /// Whether the search without faults, with which every check begins, is too large. Then the check cannot be
-    /// complete, and its searches with faults are not worth beginning.
+    /// Whether the search without faults, with which every check begins, is too large. Then the check cannot be complete,
+    /// and it is not worth beginning the searches with faults.
     pub fn is_too_large_without_faults(&self) -> bool {
         let mut plan = self.plan.clone();
         plan.faults.clear();
@@ -153,7 +153,7 @@ impl Text {
         Some(self.position(of_task().or_else(of_check).or_else(of_couple)?))
     }
 
-    /// Line and column of an operation.
+    /// Line and column, from 1, of an operation of a task.
     pub fn place_of(&self, task: TaskId, at: Address) -> Option<(usize, usize)> {
         let Behaviour::Script(script) = &self.lowered.tasks[task.index()] else { return None };
         Some(self.position(script.spans.get(usize::from(at))?.start))

@@ -1,11 +1,11 @@
-//! Random cells: small cells that use every statement, expression, option, usage and fault of the language.
+//! Random cells: together these small cells use every statement, expression, option, usage and fault of the language.
 //!
-//! A cell is made from random bytes, and a smaller byte makes a smaller part of it. So fewer and smaller bytes make a
+//! A cell is made from random bytes, and a smaller byte makes a smaller part of the cell. So fewer and smaller bytes make a
 //! smaller cell, and a large cell that fails can be shrunk.
 
 use std::fmt::Write;
 
-/// A source of random numbers: bytes, and zeros past their end.
+/// A source of random numbers: some bytes, followed by zeros.
 pub struct Tape<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -22,7 +22,7 @@ impl<'a> Tape<'a> {
         usize::from(byte) * limit / 256
     }
 
-    /// True with this probability in percent; false past the end.
+    /// True with this probability in percent; false after the last byte.
     pub(super) fn chance(&mut self, percent: usize) -> bool {
         self.below(100) >= 100 - percent
     }
@@ -39,7 +39,7 @@ pub(super) enum Use {
     Status,
     /// The owner sends messages of class 2.
     Order,
-    /// The owner receives messages of this class.
+    /// The owner receives messages of the class with this number.
     Told(u8),
     /// The owner sends queries.
     Ask,
@@ -60,7 +60,7 @@ pub(super) struct Port {
     pub(super) handled: bool,
 }
 
-/// What a task does at a port.
+/// What a task does with a port.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Role {
     Sends,
@@ -133,9 +133,9 @@ pub struct Cell<'a> {
     pub(super) text: String,
     pub(super) tasks: usize,
     pub(super) ports: Vec<Port>,
-    /// The task whose text is being written.
+    /// The task whose text is being written now.
     pub(super) here: usize,
-    /// How many loops enclose the statement, and whether it is in a handler or an atomic part.
+    /// How many loops enclose the written statement. The next fields: whether it is in a handler, or in an atomic section.
     pub(super) loops: usize,
     pub(super) handler: bool,
     pub(super) atomic: bool,
@@ -150,17 +150,17 @@ pub struct Cell<'a> {
     pub(super) looped: bool,
     /// The extern tasks, whose bodies are outside the cell.
     pub(super) outside: Vec<usize>,
-    /// The source of the bodies of extern tasks, if they get bodies after all.
+    /// The random bytes for the bodies of extern tasks, if these tasks get bodies.
     pub(super) filled: Option<Tape<'a>>,
 }
 
-/// The cell that these random bytes make.
+/// The text of the cell that these random bytes make.
 pub fn cell(bytes: &[u8]) -> String {
     written(bytes, None).text
 }
 
-/// The same cell with bodies for its extern tasks, made from other random bytes: behaviour that such a task may have. Also
-/// returns the extern tasks; `None` if there are none.
+/// The same cell, but with a body for each extern task, made from other random bytes. Such a body is one behaviour that the
+/// extern task may have. Also returns the extern tasks. `None` if the cell has none.
 pub fn filled(bytes: &[u8], bodies: &[u8]) -> Option<(String, Vec<usize>)> {
     let cell = written(bytes, Some(Tape::new(bodies)));
     (!cell.outside.is_empty()).then_some((cell.text, cell.outside))
@@ -207,8 +207,8 @@ impl Cell<'_> {
         for _ in 0..=self.tape.below(3) {
             self.port();
         }
-        // If one member comes to a meeting for ever and the others do not, their rounds drift apart until they do not fit a
-        // packed state.
+        // If one member comes to a meeting for ever and the others do not, their rounds drift apart until they do not fit
+        // into a packed state.
         let meets = self.ports.iter().any(|port| port.of == Use::Meet);
         self.looped = self.tape.chance(if meets { 20 } else { 70 });
         for task in 0..self.tasks {
@@ -217,7 +217,7 @@ impl Cell<'_> {
         self.rest();
     }
 
-    /// Writes a node for each task; sometimes the last two tasks share one.
+    /// Writes a node for each task; sometimes the last two tasks share one node.
     fn nodes(&mut self) {
         let nodes = self.tasks - usize::from(self.tape.chance(10));
         for node in 0..nodes {
@@ -230,7 +230,7 @@ impl Cell<'_> {
         }
         let in_row = nodes == 3 && self.tape.chance(30);
         for a in 0..nodes {
-            // In a row of nodes, the ends reach each other through the middle.
+            // If the nodes form a row, the ends reach each other through the middle.
             let last = if in_row { nodes.min(a + 2) } else { nodes };
             for b in a + 1..last {
                 let delay = self.tape.one(&["1 msec", "1 msec", "2 msec", "1000 usec"]);
@@ -508,7 +508,7 @@ impl Cell<'_> {
                 _ => self.check("ta.f leads ta.i >= 0 within 40 msec"),
             }
         }
-        // This is drawn last, so that seeds that are named elsewhere still make the same cells.
+        // This part is drawn last, so that seeds which are named elsewhere still make the same cells.
         if self.tape.chance(25) {
             let pause = self.tape.one(&PAUSES);
             let other = if self.tape.chance(15) { self.tape.one(&all) } else { "" };

@@ -1,15 +1,15 @@
-//! Random cells that are too large to be searched: many tasks send to one. Its buffers fill, its order of service matters,
-//! relays hold packets of several tasks, duplicates come late and long messages are fragmented. These cells are only walked
-//! at random, and the history of the run is judged.
+//! Random cells that are too large to be searched: many tasks send to one task, the *middle*. The middle's buffers fill,
+//! its order of service matters, relays hold packets of several tasks, duplicates come late and long messages are
+//! fragmented. The tests only make random runs of these cells, and judge the history of each run.
 
 use super::cells::Tape;
 use std::fmt::Write;
 
 /// How the callers of a crowd use one port of the task in the middle.
 struct Port {
-    /// The types of the fields of its messages.
+    /// The types of the fields of the port's messages.
     carries: &'static str,
-    /// The values of one such message.
+    /// The values of one message of the port.
     values: &'static str,
     command: bool,
     handled: bool,
@@ -18,7 +18,7 @@ struct Port {
 const CARRIES: [(&str, &str); 4] =
     [("u: int8", "i"), ("", ""), ("v: Long", "l"), ("u: word, w: int16", "7, 3")];
 
-/// The text of the crowd that these random bytes make.
+/// The text of the crowd cell that these random bytes make.
 pub fn cell(bytes: &[u8]) -> String {
     let mut tape = Tape::new(bytes);
     let callers = 2 + tape.below(4);
@@ -28,7 +28,7 @@ pub fn cell(bytes: &[u8]) -> String {
     for node in 0..nodes {
         let _ = writeln!(text, "node n{node};");
     }
-    // The nodes form a row, so that packets of the farther nodes wait in the relays between.
+    // The nodes form a row, so that packets of the farther nodes wait in the relays between them and the middle.
     for node in 1..nodes {
         let delay = tape.one(&["1 msec", "1 msec", "2 msec"]);
         let _ = writeln!(text, "link n{} -- n{node} delay {delay};", node - 1);
@@ -114,7 +114,7 @@ fn middle(tape: &mut Tape<'_>, text: &mut String, ports: &[Port], callers: usize
     let _ = writeln!(text, "    delay {} msec;\n  end;\nend middle;", 1 + tape.below(12));
 }
 
-/// Writes an `order` among the handlers.
+/// Writes an `order` for the handlers of the middle task.
 fn ranks(tape: &mut Tape<'_>, text: &mut String, ports: &[Port], timer: bool) {
     let handled = ports.iter().enumerate().filter(|(_, port)| port.handled);
     let mut ranks: Vec<String> = handled.map(|(at, _)| format!("p{at}")).collect();
@@ -163,7 +163,7 @@ fn serve(tape: &mut Tape<'_>, text: &mut String, ports: &[Port], callers: usize)
     }
 }
 
-/// Writes one of the callers.
+/// Writes one of the tasks that send to the middle.
 fn call(tape: &mut Tape<'_>, text: &mut String, ports: &[Port], (caller, node): (usize, usize)) {
     let _ = writeln!(text, "task c{caller} on n{node}");
     for (at, port) in ports.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Compares the checker with random walks through cells as they run: see [`compare_with_walks`].
+//! Compares the checker with random runs of the same cells: see [`compare_with_walks`].
 
 mod cells;
 mod crowd;
@@ -20,13 +20,14 @@ pub const fn dice(seed: u64) -> Dice {
     Dice(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
 }
 
-/// Compares the search of a cell, with at most `states` states for each fault hypothesis, with random walks through it.
+/// Compares the search of a cell, with at most `states` states for each fault hypothesis, with random walks through the
+/// cell.
 fn compare(text: &str, seed: u64, states: u64, effort: Effort) -> Result<Agreement, Disagreement> {
     let mut cell = Text::new(text);
     cell.plan.budget = within(states);
     let mut dice = dice(seed);
     let plan = Arc::new(cell.plan);
-    // A panic of the machine is a disagreement, too, so it gets a seed and a smallest cell like any other.
+    // A panic of the state machine counts as a disagreement, so that it is reported with a seed and a smallest cell, too.
     let walked =
         std::panic::AssertUnwindSafe(|| compare_with_walks(&plan, effort, &mut |limit| dice.below(limit)));
     std::panic::catch_unwind(walked).unwrap_or_else(|panic| {
@@ -57,12 +58,12 @@ fn the_examples_run_as_they_are_searched() {
 
 /// The number of random bytes for one cell.
 const TAPE: usize = 300;
-/// How many states a search may keep. `.ci/long` allows 20,000: with them two more of the 475 searches come to their end.
+/// How many states a search may keep. `.ci/long` allows 20,000: then two more of the 475 searches are complete.
 fn states() -> u64 {
     number("IMRS_STATES", 5_000)
 }
 
-/// The value of an environment variable, or `usual`.
+/// The number in an environment variable, or `usual` if it is not set.
 pub fn number(variable: &str, usual: u64) -> u64 {
     std::env::var(variable).map_or(usual, |text| text.parse().unwrap_or_else(|e| panic!("{variable}: {e}")))
 }
@@ -89,8 +90,8 @@ pub fn random_cell(seed: u64) -> Option<Text> {
     is_sound(&text).then(|| Text::new(&text))
 }
 
-/// Compares one random cell. Every other cell is searched with all times. The other cells, and those that are too large for
-/// that, are searched only with the ends of their times.
+/// Compares the search of one random cell with random walks. Every second cell is searched at every tick. The other cells,
+/// and cells that are too large for this, are searched only at the ends of their times.
 fn random(tape: &[u8], seed: u64) -> Result<Agreement, Disagreement> {
     let text = cells::cell(tape);
     outside::covers(tape, &self::tape(seed + BODIES), states())?;
@@ -104,11 +105,11 @@ fn random(tape: &[u8], seed: u64) -> Result<Agreement, Disagreement> {
     compare(&text, seed, states(), effort(Times::Ends))
 }
 
-/// The first seed of the bytes for bodies of extern tasks.
+/// The seeds from this one on are for the bytes of extern tasks' bodies.
 const BODIES: u64 = 1 << 32;
 
-/// Shrinks the bytes of a cell for which search and walks disagree, as long as fewer bytes, or bytes with more zeros,
-/// disagree, too.
+/// Shrinks the bytes of a cell for which the search and the random walks disagree, as long as fewer bytes, or bytes with
+/// more zeros, disagree, too.
 fn shrink(mut tape: Vec<u8>, seed: u64) -> Vec<u8> {
     let differs = |tape: &[u8]| is_sound(&cells::cell(tape)) && random(tape, seed).is_err();
     let mut part = tape.len() / 2;
@@ -133,11 +134,11 @@ fn shrink(mut tape: Vec<u8>, seed: u64) -> Vec<u8> {
     tape
 }
 
-/// After this many cells one crowd is walked.
+/// After this many random cells, one crowd is tested.
 const CELLS_FOR_A_CROWD: u64 = 5;
 
 /// `IMRS_CELLS` is the number of cells: 20,000 in `.ci/long`. `IMRS_SEED` is the first seed. With `IMRS_WORD` only cells
-/// with this word are walked: in `.ci/long` a second run takes the cells with a `pause`.
+/// with this word are tested: in `.ci/long` a second run takes the cells with a `pause`.
 #[test]
 fn random_cells_run_as_they_are_searched() {
     let (cells, first) = (number("IMRS_CELLS", 300), number("IMRS_SEED", 1));
@@ -186,8 +187,8 @@ fn random_cells_run_as_they_are_searched() {
     assert!(!word.is_empty() || often(fused.messages) && often(fused.answers));
 }
 
-/// Walks through a crowd without comparing it with a search: the search keeps only one state, which would
-/// show nothing.
+/// Makes random walks through a crowd without a meaningful search: the search keeps only one state, because a crowd is too
+/// large.
 fn walk(crowd: &str, seed: u64) -> Result<Agreement, Disagreement> {
     compare(crowd, seed, 1, Effort { walks: 2, length: 300, times: Times::Ends })
 }
@@ -198,7 +199,7 @@ fn language() -> impl Iterator<Item = &'static str> {
     grammar.lines().filter_map(|line| line.strip_prefix("> ")).flat_map(str::split_whitespace)
 }
 
-/// Words that no random cell has, because the checker refuses a cell that answers by the number of a message (D93).
+/// Words that no random cell has, because the checker refuses a cell that uses the number of a message for an answer (D93).
 const ELSEWHERE: [&str; 1] = ["ticket"];
 
 /// The words of the language that are not in `words`.
@@ -226,7 +227,7 @@ fn random_cells_use_the_whole_language() {
             }
         }
         words.extend(used);
-        // Every word was seen, so more cells can show no more.
+        // Every word has been seen, so more cells can show no more words.
         if !whole && missing(&words).is_empty() {
             return;
         }
@@ -241,7 +242,8 @@ fn random_cells_use_the_whole_language() {
     }
 }
 
-/// The arrival of a packet lets a running action end, even if the packet changes nothing and a cut link could drop it unnoticed.
+/// The arrival of a packet lets a running action end, even if the packet has no other effect, and a cut link could drop it
+/// without any other difference.
 #[test]
 fn a_packet_that_nobody_misses_is_still_an_event() {
     let text = "cell late; tick 1 msec; node n0; node n1; link n0 -- n1 delay 1 msec;

@@ -7,8 +7,8 @@ use imrs_protocol::TaskId;
 use imrs_protocol::script::Address;
 use std::collections::BTreeSet;
 
-/// The cell with branches behind each statement that brings values, so that its tasks distinguish all values that an extern
-/// task may send.
+/// The cell with branches added behind each statement that gives a task values. So its tasks distinguish all values that an
+/// extern task may send.
 fn with_telling_tasks(text: &str) -> String {
     let tells = ["i = 1", "j = 1", "m.n = 1", "m.b", "f"];
     let tells: String =
@@ -26,16 +26,16 @@ fn with_telling_tasks(text: &str) -> String {
     telling
 }
 
-/// The cell with bodies for its extern tasks, but with the checks of the cell without bodies, because these checks
-/// read no variables of bodies.
+/// The cell with bodies for its extern tasks, but with the checks of the cell without bodies, because only these read no
+/// variables of the bodies.
 fn with_checks_of(text: &str, with_bodies: &str) -> String {
     let is_check = |line: &&str| line.starts_with("check ");
     let bodies = with_bodies.lines().filter(|line| !is_check(line));
     bodies.chain(text.lines().filter(is_check)).fold(String::new(), |all, line| all + line + "\n")
 }
 
-/// Searches a cell that has an extern task, and once more with a body for that task. Everything that the second search shows
-/// about other tasks, the first one must show, too. Returns how many cells were compared.
+/// Searches a cell that has an extern task, and then the same cell with a body for that task. Everything that the second
+/// search shows about other tasks, the first search must show, too. Returns how many cells were compared.
 ///
 /// # Errors
 /// [`Disagreement`]: something that the first search does not show.
@@ -56,7 +56,7 @@ pub fn covers(tape: &[u8], bodies: &[u8], states: u64) -> Result<u32, Disagreeme
         return Ok(0);
     }
     let said = check(own);
-    // If no extern task sends a value, there is little to compare.
+    // If no extern task sends a value, or the first search is incomplete, there is nothing to compare.
     if !said.is_complete() || said.outside.is_empty() {
         return Ok(0);
     }
@@ -91,7 +91,7 @@ fn not_reached(verdicts: &Verdicts) -> BTreeSet<(TaskId, Address)> {
     unreached.chain(others.into_iter().flatten().copied()).collect()
 }
 
-/// The test takes seeds until enough cells were compared, so that each run compares some.
+/// Tries seeds until enough cells were compared, so that each run of the test compares some.
 #[test]
 fn whatever_a_task_outside_does_the_search_has_seen() {
     let (mut compared, mut seed) = (0, super::number("IMRS_SEED", 1));

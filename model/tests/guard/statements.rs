@@ -144,7 +144,7 @@ impl Cell<'_> {
         self.put(";\n");
     }
 
-    /// Expressions of these types, as text.
+    /// Random expressions of these types, as text.
     pub(super) fn values(&mut self, of: &[&str]) -> String {
         let values: Vec<String> = of
             .iter()
@@ -232,7 +232,7 @@ impl Cell<'_> {
                 };
                 let _ = write!(self.text, "    receive{what}{within}");
                 if !within.is_empty() {
-                    // After a time_out there is no message to reply to.
+                    // After a time_out there is no message to which the task could reply.
                     let leaves = if command { "abort \"nothing came\"" } else { "skip" };
                     let _ = write!(self.text, " on time_out do {leaves}; end");
                 }
@@ -326,7 +326,7 @@ impl Cell<'_> {
         let port = &self.ports[at];
         let value = |of: &&str| match (*of, one) {
             ("bool", _) => one.to_string(),
-            // The search tries zero, and this body needs no other real.
+            // The search tries zero, so this body needs no other real.
             ("real", _) => "0.0".into(),
             ("Note", _) => format!("{}, {one}", u8::from(one)),
             _ => u8::from(one).to_string(),
@@ -349,7 +349,7 @@ impl Cell<'_> {
             Some(Role::Meets) => {
                 writeln!(self.text, "  waitfor {name}({said}) on time_out do skip; end; delay 10 msec;")
             }
-            // An extern task has no such ports in these cells.
+            // In these cells an extern task has no such ports.
             Some(Role::Asks | Role::Answers) | None => Ok(()),
         };
     }

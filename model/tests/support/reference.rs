@@ -13,7 +13,7 @@ use stateright::{Model, Property};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::{Arc, Mutex};
 
-/// The round from which rounds are counted in a normalised state.
+/// The round from which a normalised state counts rounds.
 const ORIGIN_ROUND: Round = Round(500);
 const ORIGIN_SEQUENCE: Seq24 = Seq24::new(5000);
 const ENDLESS: u8 = u8::MAX;
@@ -60,7 +60,7 @@ impl Hash for Reference {
     }
 }
 
-/// Two states are equal if their fingerprints are: the search compares them in this way, too.
+/// Two states are equal if their fingerprints are equal: the search compares them in this way, too.
 impl PartialEq for Reference {
     fn eq(&self, other: &Self) -> bool {
         let fingerprint = |state: &Self| {
@@ -72,8 +72,8 @@ impl PartialEq for Reference {
     }
 }
 
-/// The fields that distinguish packets. No task reads the id of a meeting's packet, and the remaining time of a CONFIRM or
-/// an ABORT is constant.
+/// The fields that distinguish packets. The id of a meeting's packet is left out, because no task reads it, and the
+/// remaining time of a CONFIRM or an ABORT is constant.
 fn key(carried: &InFlight) -> (u8, u16, u16, u16, bool, u32, u64, Contents, u8) {
     let p = &carried.packet;
     let sequence = if of_meeting(p) { 0 } else { p.id.sequence.get() };
@@ -92,7 +92,7 @@ fn key(carried: &InFlight) -> (u8, u16, u16, u16, bool, u32, u64, Contents, u8) 
     )
 }
 
-/// An order of packets in which equal ones are neighbours.
+/// An order of packets in which equal packets are neighbours.
 fn order(carried: &InFlight) -> impl Ord + use<> {
     let (a, b, c, d, e, f, g, contents, age) = key(carried);
     (a, b, c, d, e, f, g, contents.as_bytes().to_vec(), age)
@@ -102,7 +102,7 @@ const fn of_meeting(packet: &Packet) -> bool {
     matches!(packet.kind, Kind::Arrive | Kind::Confirm | Kind::Abort)
 }
 
-/// The task whose sequence numbers the id of a packet uses.
+/// The task from whose sequence numbers the id of a packet comes.
 const fn counts_in(packet: &Packet) -> TaskId {
     match packet.kind {
         Kind::Reply | Kind::Response | Kind::Control => packet.destination,
@@ -129,7 +129,7 @@ impl NodeOutbox for Seen {
     }
 }
 
-/// The reference form as a stateright model. It ignores the reductions of the scenario, and uses none.
+/// The reference form as a stateright model. It uses no reductions, not even those of the scenario.
 pub struct ReferenceModel {
     scenario: Arc<Scenario>,
     /// Reusable nodes. For one step a task is put into a node; between steps the nodes are empty.

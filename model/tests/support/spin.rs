@@ -8,7 +8,7 @@ use std::process::Command;
 /// The folder of the models.
 pub const MODELS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../specs/promela");
 
-/// The program that is missing to run SPIN, if one is.
+/// A program that SPIN needs and that is missing; `None` if SPIN can run.
 pub fn missing() -> Option<&'static str> {
     let answers = |program: &str, flag: &str| {
         Command::new(program).arg(flag).output().is_ok_and(|output| output.status.success())
@@ -36,22 +36,22 @@ pub struct Verifier {
 pub struct Verdict {
     /// Whether the verifier looked at every state and the property held in all of them.
     pub holds: bool,
-    /// The number of different states, as stored.
+    /// The number of different states that were stored.
     pub states: u64,
     /// Wall-clock seconds of the search, as reported by SPIN.
     pub seconds: f64,
-    /// Megabytes of memory in all, the hash table and the stack included, as reported by SPIN.
+    /// The megabytes of memory in all, including the hash table and the stack, as reported by SPIN.
     pub megabytes: f64,
 }
 
-/// Builds the verifier of a model. It needs the `folder` for itself; each of `definitions` is `NAME` or `NAME=value`.
+/// Builds the verifier of a model. The build uses `folder` alone; each of `definitions` is `NAME` or `NAME=value`.
 pub fn build(folder: &Path, model: &Path, definitions: &[String], flags: &[&str]) -> Verifier {
     let define = definitions.iter().map(|definition| format!("-D{definition}"));
     let mut spin = Command::new("spin");
     spin.current_dir(folder).args(define).arg("-a").arg(model);
     done(spin);
     let mut cc = Command::new(compiler());
-    // With this limit the verifier reports the end of its memory, instead of using up the machine's.
+    // With this limit the verifier reports the end of its memory, instead of using up the computer's memory.
     cc.current_dir(folder).args(["-w", "-DSAFETY", "-DMEMLIM=4000"]).args(flags).args(["-o", "pan", "pan.c"]);
     done(cc);
     Verifier { program: folder.join("pan") }
@@ -66,7 +66,7 @@ fn done(mut command: Command) -> String {
 }
 
 impl Verifier {
-    /// The path of the program.
+    /// The path of the verifier program.
     pub fn path(&self) -> &Path {
         &self.program
     }
@@ -81,8 +81,8 @@ impl Verifier {
         self.run_in(self.program.parent().expect("a folder"), arguments)
     }
 
-    /// Runs the verifier in this folder, in which it leaves its trail. Memory bounds the run, because a time limit could end
-    /// it early on a busy machine.
+    /// Runs the verifier in this folder, in which the verifier leaves its trail. Memory bounds the run, because a time
+    /// limit could end it early on a busy machine.
     pub fn run_in(&self, folder: &Path, arguments: &[&str]) -> Verdict {
         let mut pan = Command::new(&self.program);
         pan.current_dir(folder).args(arguments);

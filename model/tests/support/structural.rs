@@ -1,13 +1,13 @@
-//! Hashes a value by visiting its fields as serde does, like a derived `Hash`: nothing is packed or allocated. Fields
-//! without an effect on the future are left out by name.
+//! Hashes a value by visiting its fields as serde does, like a derived `Hash`: nothing is packed or allocated. Fields that
+//! cannot affect later behaviour are left out by name.
 
 use serde::ser::{self, Serialize};
 use std::fmt;
 use std::hash::Hasher;
 
-/// Fields without effect on behaviour: counters, numbers of arrival, the bookkeeping of a queue, and observations. In these
-/// worlds `incarnation` is constant, because no node restarts. No task has two ports, so no GET can bypass one (`served`,
-/// `since`), and no task reads the values that others brought to a meeting (`told`).
+/// The names of fields without effect on behaviour: counters, numbers of arrival, the bookkeeping of a queue, and
+/// observations. In these worlds `incarnation` is constant, because no node restarts. No task has two ports, so no GET can
+/// bypass a port (`served`, `since`), and no task reads the values that others brought to a meeting (`told`).
 const LEFT_OUT: [&str; 12] = [
     "counters",
     "arrivals",

@@ -1,4 +1,4 @@
-//! An independent breadth-first search, level by level, with whole states in the visited set, not fingerprints.
+//! An independent breadth-first search, level by level, with whole states, not fingerprints, in the set of visited states.
 
 use imrs_model::{Action, Limits, Packed, Scenario, WorldModel};
 use stateright::Model;

@@ -5,7 +5,7 @@ use imrs_model::{Budget, Reductions, Scenario, Watch};
 use imrs_protocol::rules::{Confirmation, Rules};
 use std::sync::Arc;
 
-/// A meeting in which packets take up to one tick and arrivals are retransmitted every two.
+/// A meeting in which packets take up to one tick and arrivals are retransmitted every two ticks.
 pub fn timed(members: usize, watch: Watch, loss: u8, margin: u64, time_out: u64) -> Meeting {
     Meeting {
         time_out: Some(time_out),
@@ -24,7 +24,7 @@ pub fn endless(members: usize, loss: u8) -> Meeting {
     Meeting { attempts: None, delay: Some(1), budget, ..Meeting::new(members, Watch::Pairing) }
 }
 
-/// A meeting without time in which every packet is sent once, with up to `loss` losses, for the question whether a member is
+/// A meeting without time in which every packet is sent once, with up to `loss` losses, to find out whether a member is
 /// stranded.
 pub fn literal(members: usize, confirmation: Confirmation, loss: u8) -> Meeting {
     let rules = Rules { confirmation, answer_late_arrivals: false, ..Rules::DEFAULT };

@@ -8,7 +8,7 @@ use crate::store::health::{Place, codes};
 use crate::theme::Theme;
 use imrs_protocol::{NodeId, PortId, TaskId};
 
-/// The commands: what is typed, and what it does.
+/// The commands: what the user types, and what it does.
 pub const COMMANDS: [(&str, &str); 6] = [
     ("connect unix:PATH|tcp:HOST:PORT", "attach to one more node"),
     ("port NAME", "the queue of a port (also TASK.PORT)"),
@@ -50,7 +50,7 @@ impl App {
         Effect::Draw
     }
 
-    /// The words that may follow `before` in a command.
+    /// The words that may follow the text `before` in a command.
     pub(super) fn words_of_command(&self, before: &str) -> Vec<String> {
         match before.split_whitespace().next() {
             None => {
@@ -64,7 +64,7 @@ impl App {
         }
     }
 
-    /// What is wrong with a command so far, while it is typed.
+    /// What is wrong with the command that is being typed, so far.
     pub(super) fn slip_of_command(&self, text: &str) -> Option<String> {
         let (word, rest) = text
             .trim_start()
@@ -104,7 +104,7 @@ impl App {
         None
     }
 
-    /// Shows the queue of a port, at the task that receives there.
+    /// Shows the queue of a port at the task that receives through it.
     fn go_to_port(&mut self, wanted: &str) -> Option<String> {
         let Some(found) = nearest(wanted, self.names_of_ports()) else { return Some(no_port(wanted)) };
         let (task, port) = found.rsplit_once('.').map_or((None, &*found), |(task, port)| (Some(task), port));
@@ -164,7 +164,7 @@ fn no_word(wanted: &str) -> String {
     format!("this screen has no column, and `imrs explain` no page, {}", crate::name::shown(wanted))
 }
 
-/// The name that is meant: this one in any case, or the one that has its letters.
+/// Finds the name that the user means: this name in any case, or the first name that contains its letters in this order.
 fn nearest(wanted: &str, names: Vec<String>) -> Option<String> {
     let exact = names.iter().find(|name| name.eq_ignore_ascii_case(wanted)).cloned();
     exact.or_else(|| fuzzy(wanted, names).into_iter().next()).filter(|_| !wanted.is_empty())

@@ -1,11 +1,11 @@
-//! Completions of what is typed, and names that are only nearly right.
+//! Completions of the text that the user types, and names that are similar to it.
 
 use super::App;
 use crate::query::FIELDS;
 use nucleo_matcher::pattern::{AtomKind, CaseMatching, Normalization, Pattern};
 use nucleo_matcher::{Config, Matcher};
 
-/// Words for a place in a text.
+/// The words that can complete a text at one place.
 #[derive(Clone, Debug, Default)]
 pub struct Completion {
     /// The text before the word.
@@ -17,15 +17,15 @@ pub struct Completion {
 }
 
 impl Completion {
-    /// The `candidates` that have the letters of `word`.
+    /// The words among `candidates` that contain the letters of `word`.
     pub(super) fn new(before: &str, word: &str, after: &str, candidates: Vec<String>) -> Self {
         let words = fuzzy(word, candidates);
         Self { before: before.to_owned(), words, after: after.to_owned() }
     }
 }
 
-/// The candidates that contain the letters of `word` in this order, in any case; those that fit best come first. For an
-/// empty word all of them in their order.
+/// The candidates that contain the letters of `word` in this order, in any case; the best matches come first. For an
+/// empty word, returns all candidates in their order.
 #[must_use]
 pub fn fuzzy(word: &str, candidates: Vec<String>) -> Vec<String> {
     if word.is_empty() {
@@ -37,8 +37,8 @@ pub fn fuzzy(word: &str, candidates: Vec<String>) -> Vec<String> {
     found.into_iter().map(|(name, _)| name).collect()
 }
 
-/// A text in three: before the word in which the cursor is or behind which it is, that word up to the cursor, and the
-/// rest. The cursor counts characters.
+/// Splits a text into three: the text before the word at the cursor, that word up to the cursor, and the rest. The
+/// cursor is a number of characters.
 pub(super) fn word_at(text: &str, cursor: usize) -> (&str, &str, &str) {
     let end = text.char_indices().nth(cursor).map_or(text.len(), |(at, _)| at);
     let is_of_word = |c: char| c.is_alphanumeric() || matches!(c, '_' | '-' | '.');
@@ -49,7 +49,7 @@ pub(super) fn word_at(text: &str, cursor: usize) -> (&str, &str, &str) {
 }
 
 impl App {
-    /// The names of the shown cell: its nodes and tasks.
+    /// The names of the nodes and tasks of the shown cell.
     pub(super) fn names_of_places(&self) -> Vec<String> {
         let names = self.cell().and_then(|cell| self.store().names(&cell).cloned());
         let Some(names) = names else { return Vec::new() };
@@ -57,7 +57,7 @@ impl App {
         nodes.chain(names.tasks.iter().map(|task| task.name.shown().to_owned())).collect()
     }
 
-    /// The names of the ports: alone, and with their tasks.
+    /// The names of the shown cell's ports: alone, and together with their tasks.
     pub(super) fn names_of_ports(&self) -> Vec<String> {
         let names = self.cell().and_then(|cell| self.store().names(&cell).cloned());
         let Some(names) = names else { return Vec::new() };
@@ -71,7 +71,7 @@ impl App {
         all
     }
 
-    /// The words of a condition: fields, and names.
+    /// The words that a filter's condition may contain: fields, and names.
     pub(super) fn words_of_filter(&self) -> Vec<String> {
         let mut all: Vec<String> = FIELDS.iter().map(|info| info.name.to_owned()).collect();
         all.extend(["and", "or", "not"].map(str::to_owned));

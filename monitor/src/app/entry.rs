@@ -1,5 +1,5 @@
-//! The line that the user types: a filter after `/`, or a command after `:`. It has a cursor, a history and completions,
-//! and what is wrong with it is known while it is typed.
+//! The line that the user types: a filter after `/`, or a command after `:`. It has a cursor, a history and
+//! completions, and errors in it are shown while the user types.
 
 use super::complete::{Completion, word_at};
 use super::{App, Effect};
@@ -13,13 +13,13 @@ use tui_input::backend::crossterm::EventHandler as _;
 /// The line that is typed.
 #[derive(Clone, Debug)]
 pub struct Entry {
-    /// What it is for.
+    /// The purpose of the line.
     pub kind: Kind,
-    /// The text and the cursor.
+    /// The text of the line, and the cursor.
     pub input: Input,
-    /// While the history is shown: how far back, and the text that was typed before.
+    /// While the user leafs through the history: how far back, and the text that the user had typed before.
     back: Option<(usize, String)>,
-    /// While completions are tried: which ones, and which is shown.
+    /// While the user tries completions: all of them, and the position of the one that is shown.
     tried: Option<(Completion, usize)>,
 }
 
@@ -40,7 +40,7 @@ impl App {
         self.entry_line = Some(Entry { kind, input: text.into(), back: None, tried: None });
     }
 
-    /// A key while a line is typed.
+    /// Handles a key while the user types a line.
     pub(super) fn typed(&mut self, event: &KeyEvent, now: Moment) -> Effect {
         let Some(entry) = &mut self.entry_line else { return Effect::Nothing };
         let (kind, ctrl) = (entry.kind, event.modifiers.contains(KeyModifiers::CONTROL));
@@ -72,7 +72,7 @@ impl App {
         Effect::Draw
     }
 
-    /// While a filter is typed the rows follow it.
+    /// While the user types a filter, the rows follow it.
     fn apply_filter(&mut self) {
         let text = self.entry_line.as_ref().filter(|entry| entry.kind == Kind::Filter);
         if let Some(text) = text.map(|entry| entry.input.value().to_owned()) {
@@ -88,7 +88,7 @@ impl App {
         match entry.kind {
             Kind::Command => self.run(text.trim(), now),
             Kind::Filter => {
-                // Plain words match as text. The message below shows why an attempted condition is invalid.
+                // Text that is no condition is searched for as plain words. The message says why it is no condition.
                 let slip = Filter::parse(text).err();
                 self.told = slip.map(|error| format!("no condition, so looked for as it is: {error}"));
                 Effect::Draw
@@ -96,7 +96,7 @@ impl App {
         }
     }
 
-    /// Shows an earlier or a later line of the history.
+    /// Shows an earlier or a later line of the history in place of the typed one.
     fn leaf(&mut self, earlier: bool) {
         let Some(entry) = &mut self.entry_line else { return };
         let lines = self.typed_before.of(entry.kind);
@@ -107,7 +107,7 @@ impl App {
         entry.input = text.into();
     }
 
-    /// Puts the next completion in the place of the word before the cursor.
+    /// Replaces the word before the cursor by the next completion.
     fn complete(&mut self, forward: bool) {
         let Some(entry) = &self.entry_line else { return };
         let (completion, at) = match &entry.tried {
@@ -131,7 +131,7 @@ impl App {
         }
     }
 
-    /// The words that may stand before the cursor, best first.
+    /// The completions at the cursor, best first.
     #[must_use]
     pub fn completion(&self) -> Completion {
         let Some(entry) = &self.entry_line else { return Completion::default() };
@@ -143,7 +143,7 @@ impl App {
         Completion::new(before, word, after, candidates)
     }
 
-    /// What is wrong with the line so far.
+    /// What is wrong with the line so far; `None` if nothing is wrong.
     #[must_use]
     pub fn slip(&self) -> Option<String> {
         let entry = self.entry_line.as_ref()?;

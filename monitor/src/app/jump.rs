@@ -1,4 +1,4 @@
-//! Jumps: to the next match or trouble, and within the events.
+//! Jumps: to the next match or finding, and within the events.
 
 use super::{App, Screen};
 use crate::clock::Moment;
@@ -7,7 +7,7 @@ use crate::store::health::Place;
 use crate::store::journal::Severity;
 
 impl App {
-    /// Goes to what blocks the cell most.
+    /// Selects the place that blocks the cell most.
     pub(super) fn go_to_culprit(&mut self, now: Moment) {
         match self.blockers(now).first() {
             Some(blocker) => self.go_to(blocker.place, now),
@@ -15,7 +15,7 @@ impl App {
         }
     }
 
-    /// Selects a place in the overview. Whatever hides its row is undone.
+    /// Selects a place in the overview. Changes the settings that hide its row.
     pub(super) fn go_to(&mut self, place: Place, now: Moment) {
         if self.screen != Screen::Overview {
             (self.before, self.screen) = (self.screen, Screen::Overview);
@@ -36,7 +36,7 @@ impl App {
         }
     }
 
-    /// Moves to the next row that itself matches the filter; without a filter, to the next row with a finding.
+    /// Moves to the next row that matches the filter itself; without a filter, to the next row with a finding.
     pub(super) fn jump_to_match(&mut self, forward: bool, now: Moment) {
         match self.screen {
             Screen::Overview => {
@@ -96,7 +96,7 @@ impl App {
         }
     }
 
-    /// Leaves discards out of the events, or shows them, and follows new events.
+    /// Hides discards from the events, or shows them again, and follows new events.
     pub(super) fn hide_discards(&mut self) {
         self.discards_hidden = !self.discards_hidden;
         self.held = None;

@@ -1,4 +1,5 @@
-//! The user's settings for the timeline: lanes, zoom and position.
+//! The user's settings for the timeline: lanes, zoom and position. A lane is the column of a task; a mark is an event
+//! that the timeline draws.
 
 pub use super::slices::Slice;
 use super::slices::{folded, slices};
@@ -12,7 +13,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::time::Duration;
 
-/// How many marks a frame orders at most.
+/// The greatest number of marks that a frame puts in order.
 const MOST: usize = 4096;
 /// The time that one row covers; `None` gives every mark its own row.
 pub const ZOOMS: [Option<Duration>; 8] = [
@@ -26,7 +27,7 @@ pub const ZOOMS: [Option<Duration>; 8] = [
     Some(Duration::from_secs(10)),
 ];
 
-/// Identifies a mark independently of its position.
+/// Identifies a mark even when its position changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Anchor {
     incarnation: IncarnationId,
@@ -51,13 +52,13 @@ impl Anchor {
 pub struct Lanes {
     /// The lane whose clock labels the rows.
     lane: Option<TaskId>,
-    /// The tasks, busiest first, when the timeline was opened. Without room for all lanes the busiest come first.
+    /// The tasks when the timeline was opened, busiest first. If there is no room for all lanes, the busiest are shown first.
     busiest: Vec<TaskId>,
-    /// An index into [`ZOOMS`].
+    /// The zoom of the timeline, as an index into [`ZOOMS`].
     zoom: usize,
-    /// The mark in the bottom row; `None` follows the latest.
+    /// The mark in the bottom row; `None` if the timeline follows the latest mark.
     held: Option<Anchor>,
-    /// Whether routine messages are left out.
+    /// Whether the timeline hides routine messages.
     sparse: bool,
 }
 
@@ -66,7 +67,7 @@ pub struct Lanes {
 pub struct Chart {
     /// The marks of all lanes. A mark is an event that the timeline draws.
     pub timeline: Timeline,
-    /// The lanes, in the order of the cell. Without room for all, the busiest come before the others.
+    /// The lanes, in the order of the cell. If there is no room for all lanes, the busiest lanes come first.
     pub lanes: Vec<TaskId>,
     /// For each task, by its index: the index of its lane.
     lane_of: Vec<Option<usize>>,
@@ -76,13 +77,13 @@ pub struct Chart {
     pub lane: usize,
     /// The rows, oldest first.
     pub rows: Vec<Slice>,
-    /// The last row shown.
+    /// The index of the last row that is shown.
     pub bottom: usize,
-    /// Whether the bottom row stays fixed.
+    /// Whether the bottom row stays fixed while new events arrive.
     pub held: bool,
     /// The time that one row covers.
     pub zoom: Option<Duration>,
-    /// Whether routine messages are left out.
+    /// Whether the timeline hides routine messages.
     pub sparse: bool,
 }
 
@@ -101,13 +102,13 @@ impl Chart {
 }
 
 impl App {
-    /// The timeline of the cell shown, with the lanes that the last frame had room for.
+    /// The timeline of the shown cell, with as many lanes as had room in the last frame.
     #[must_use]
     pub fn chart(&self) -> Chart {
         self.chart_of(if self.drawn.screen == Screen::Timeline { self.drawn.lanes } else { usize::MAX })
     }
 
-    /// The timeline with room for so many lanes.
+    /// The timeline of the shown cell, with room for this many lanes.
     #[must_use]
     pub fn chart_of(&self, room: usize) -> Chart {
         let Some(cell) = self.cell() else { return Chart::default() };
@@ -153,7 +154,7 @@ impl App {
         }
     }
 
-    /// The lanes, with the busiest first if there is no room for all; otherwise in their order.
+    /// The lanes, the busiest first if there is no room for all of them; otherwise in the order of the cell.
     fn ordered(&self, lanes: Vec<TaskId>, timeline: &Timeline, room: usize) -> Vec<TaskId> {
         if lanes.len() <= room || !self.lane_filter.is_empty() {
             return lanes;
@@ -167,7 +168,7 @@ impl App {
         first
     }
 
-    /// Chooses the busiest lanes anew: the timeline is opened.
+    /// Determines the busiest lanes anew, when the timeline is opened.
     pub(super) fn choose_lanes(&mut self) {
         let timeline = self.cell().map(|cell| timeline(self.store(), &cell, MOST));
         self.lanes.busiest = timeline.as_ref().map(busiest).unwrap_or_default();
@@ -236,11 +237,12 @@ impl App {
     pub(super) fn go_to_chart_row(&mut self, row: usize) {
         let chart = self.chart();
         self.hold(&chart, row, true);
-        // A click means this row, also the last one.
+        // A click selects exactly this row, even if it is the last one.
         self.lanes.held = self.lanes.held.or_else(|| chart.mark(row).map(Anchor::of));
     }
 
-    /// Holds the row `to`. Only rows with marks can be held, so others are skipped in the direction of the step.
+    /// Makes the row `to` the fixed bottom row. Only rows with marks can be fixed, so other rows are skipped in the
+    /// direction of the step.
     fn hold(&mut self, chart: &Chart, to: usize, back: bool) {
         let last = chart.rows.len().saturating_sub(1);
         let mut to = to.min(last);
@@ -264,7 +266,7 @@ impl App {
     }
 }
 
-/// Whether the event is routine traffic. Without it rendezvous and faults are visible on a busy timeline.
+/// Whether the event is routine traffic. If such events are hidden, rendezvous and faults are visible on a busy timeline.
 const fn is_traffic(event: Event) -> bool {
     match event {
         Event::Sent
@@ -296,7 +298,7 @@ const fn is_traffic(event: Event) -> bool {
     }
 }
 
-/// The tasks with marks, those with the most first.
+/// The tasks that have marks; the task with the most marks comes first.
 fn busiest(timeline: &Timeline) -> Vec<TaskId> {
     let mut counts: BTreeMap<TaskId, usize> = BTreeMap::new();
     for mark in &timeline.marks {

@@ -1,4 +1,4 @@
-//! Mouse actions. The mouse is optional: every action also has a key.
+//! The actions of the mouse. The mouse is optional: every action also has a key.
 
 use super::{App, Effect, Screen};
 use crate::clock::Moment;

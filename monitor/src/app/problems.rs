@@ -1,4 +1,4 @@
-//! The actions on the problems.
+//! The actions on the problems screen.
 
 use super::{App, PortEnd, Screen};
 use crate::clock::Moment;
@@ -20,7 +20,8 @@ impl App {
         problems(self.store(), &cell, findings, blockers, self.moment(now))
     }
 
-    /// The index of the selected row: the chosen one while it exists, otherwise the one at its position.
+    /// The index of the selected row: the row that the user chose while it exists, otherwise the row that is now at its
+    /// position.
     #[must_use]
     pub fn problem(&self, rows: &[Problem]) -> usize {
         let chosen = self.problem.and_then(|key| rows.iter().position(|row| row.key() == key));
@@ -42,7 +43,7 @@ impl App {
         self.step_problem(0, now);
     }
 
-    /// Opens what the selected row is about.
+    /// Opens the screen for the selected row's problem.
     pub(super) fn enter_problem(&mut self, now: Moment) {
         let rows = self.all_problems(now);
         let Some(row) = rows.get(self.problem(&rows)) else { return };
@@ -88,7 +89,7 @@ impl App {
         self.open(Screen::Explain);
     }
 
-    /// Shows a screen from its beginning.
+    /// Shows a screen, scrolled to its beginning.
     fn open(&mut self, screen: Screen) {
         (self.before, self.screen, self.scroll) = (self.screen, screen, 0);
     }

@@ -1,33 +1,33 @@
-//! The settings of the running monitor: one line each, which Enter changes.
+//! The settings of the running monitor. Each is a line of the settings screen, and Enter changes it.
 
 use super::{App, Effect, Screen};
 use crate::clock::Moment;
 
-/// A setting.
+/// A setting of the running monitor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Setting {
-    /// How the screen looks.
+    /// The theme in which the screen is drawn.
     Theme,
-    /// Whether clicks and the wheel act.
+    /// Whether the monitor uses clicks and the wheel.
     Mouse,
-    /// Whether countdowns move once a second only.
+    /// Whether countdowns are redrawn only once a second.
     ReducedMotion,
     /// Whether the overview shows earlier incarnations.
     Earlier,
-    /// Whether the overview counts since the mark.
+    /// Whether the overview counts from the user's mark on.
     SinceMark,
-    /// Whether the events contain routine ones.
+    /// Whether the event screen shows routine events.
     Everything,
-    /// Whether the events contain discards.
+    /// Whether the event screen shows discards.
     Discards,
-    /// Whether the timeline contains ordinary messages.
+    /// Whether the timeline shows ordinary messages.
     Messages,
     /// Whether the rendezvous screen shows only cycles.
     OnlyCycles,
 }
 
 impl Setting {
-    /// All of them, in the order of the screen.
+    /// All settings, in the order of the screen.
     pub const ALL: [Self; 9] = [
         Self::Theme,
         Self::Mouse,
@@ -40,7 +40,7 @@ impl Setting {
         Self::OnlyCycles,
     ];
 
-    /// What it is about, and its key in the settings file if it has one.
+    /// A text about the setting, and its key in the settings file if it has one.
     #[must_use]
     pub const fn about(self) -> (&'static str, &'static str) {
         match self {
@@ -58,7 +58,7 @@ impl Setting {
 }
 
 impl App {
-    /// What a setting is now.
+    /// The present value of a setting, as text.
     #[must_use]
     pub fn setting(&self, setting: Setting) -> &'static str {
         let is_on = match setting {
@@ -101,7 +101,7 @@ impl App {
         Effect::Theme
     }
 
-    /// Opens the settings, or goes back to where they were opened.
+    /// Opens the settings screen, or returns to the screen from which it was opened.
     pub(super) fn toggle_settings(&mut self) {
         if self.screen == Screen::Settings {
             (self.screen, self.scroll) = self.settings_over;

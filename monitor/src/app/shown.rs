@@ -1,4 +1,4 @@
-//! What the screens read from the app: rows, queues, the selected port and message.
+//! The data of the app that the screens draw: rows, queues, the selected port and message.
 
 use super::{App, PortEnd, Screen};
 use crate::clock::Moment;
@@ -12,7 +12,7 @@ use imrs_protocol::{PortView, Usage};
 use imrs_wire::obs::TaskSnapshot;
 
 impl App {
-    /// The findings in the shown cell.
+    /// The findings in the shown cell: warnings of the monitor about its state.
     #[must_use]
     pub fn findings(&self, now: Moment) -> Vec<Finding> {
         self.cell().map_or_else(Vec::new, |cell| health::findings(self.store(), &cell, self.moment(now)))
@@ -24,7 +24,7 @@ impl App {
         self.cell().map_or_else(Vec::new, |cell| blockers(self.store(), &cell, self.moment(now)))
     }
 
-    /// The rows of the overview.
+    /// The rows of the overview that are shown.
     #[must_use]
     pub fn rows(&self, findings: &[Finding], now: Moment) -> Vec<Row> {
         let Some(cell) = self.cell() else { return Vec::new() };
@@ -32,7 +32,7 @@ impl App {
         rows(self.store(), &cell, &self.shape, (findings, &healthy), self.moment(now))
     }
 
-    /// The healthy nodes of a large cell, for which one row stands.
+    /// The healthy nodes of a large cell, which share one row.
     #[must_use]
     pub fn healthy(&self, findings: &[Finding], now: Moment) -> Vec<IncarnationId> {
         let Some(cell) = self.cell() else { return Vec::new() };
@@ -40,7 +40,7 @@ impl App {
         healthy(self.store(), &cell, &self.shape, (findings, &loud), self.moment(now))
     }
 
-    /// The index of the selected row: the chosen one, its nearest existing parent, or the first.
+    /// The index of the selected row: the row that the user chose, its nearest existing parent, or the first row.
     #[must_use]
     pub fn selected(&self, rows: &[Row]) -> usize {
         let Some(place) = self.selected else { return 0 };
@@ -50,7 +50,7 @@ impl App {
         parents.into_iter().find_map(fits).unwrap_or(0)
     }
 
-    /// The ports that receive, in the order of the overview.
+    /// The ports at the tasks that receive through them, in the order of the overview.
     #[must_use]
     pub fn queues(&self) -> Vec<PortEnd> {
         let Some(cell) = self.cell() else { return Vec::new() };
@@ -67,7 +67,7 @@ impl App {
         store.present(&cell).flat_map(ends).collect()
     }
 
-    /// The shown port: the chosen one, or the first of `queues`.
+    /// The port that is shown: the one that the user chose, or the first of `queues`.
     #[must_use]
     pub fn port(&self, queues: &[PortEnd]) -> Option<PortEnd> {
         let there = |end: &PortEnd| {
@@ -76,14 +76,15 @@ impl App {
         self.port.filter(there).or_else(|| queues.first().copied())
     }
 
-    /// The index of the selected message of a queue: the chosen one while it is queued, otherwise the one at its position.
+    /// The index of the selected message of a queue: the message that the user chose while it is queued, otherwise the
+    /// one that is now at its position.
     #[must_use]
     pub fn entry(&self, queue: &[Waiting]) -> usize {
         let chosen = |(source, id)| queue.iter().position(|w| (w.entry.source, w.entry.id) == (source, id));
         self.entry.and_then(chosen).unwrap_or(self.scroll).min(queue.len().saturating_sub(1))
     }
 
-    /// The selected line of the screen's list.
+    /// The index of the selected line of the screen's list.
     pub(super) fn line(&self) -> Option<usize> {
         match self.screen {
             Screen::Timeline => {
@@ -127,7 +128,8 @@ impl App {
         }
     }
 
-    /// The filter that keys change: the one of the timeline or the events if they are shown, otherwise of the overview.
+    /// The filter that the user changes: that of the timeline or the event screen if it is shown, otherwise that of the
+    /// overview.
     pub(super) const fn filter_mut(&mut self) -> &mut String {
         match self.screen {
             Screen::Timeline => &mut self.lane_filter,
@@ -136,7 +138,7 @@ impl App {
         }
     }
 
-    /// The screen that the help explains.
+    /// The screen that the help screen explains.
     #[must_use]
     pub const fn helped(&self) -> Screen {
         self.before

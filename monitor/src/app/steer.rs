@@ -1,4 +1,4 @@
-//! Carries out the actions of keys.
+//! Carries out the actions that keys have.
 
 use super::{App, Effect, Kind, PortEnd, Screen, port_end};
 use crate::clock::{Moment, Span};
@@ -83,7 +83,7 @@ impl App {
         Effect::Draw
     }
 
-    /// Goes to the last row, and follows new ones.
+    /// Selects the last row, and follows new rows.
     fn go_to_last(&mut self, now: Moment) {
         self.step(isize::MAX, now);
         self.follow_chart();
@@ -96,18 +96,18 @@ impl App {
             Some(_) => None,
             None => Some((Box::new(self.live.clone()), now)),
         };
-        // Only the extent is kept: the frames would stay in memory for as long as the pause lasts.
+        // Only the covered times are kept, because the frames would stay in memory for as long as the pause lasts.
         let film = if self.frozen.is_some() { self.history.film() } else { None };
         self.ribbon = film.as_ref().map(Ribbon::of);
     }
 
-    /// Sorts the overview, and goes to its first row: the user asked for what comes first in the new order.
+    /// Sorts the overview, and selects its first row, because the user wants to see which row comes first in the new order.
     pub(super) fn sort(&mut self, sort: Sort, inverted: bool) {
         (self.shape.sort, self.shape.inverted) = (sort, inverted);
         self.selected = None;
     }
 
-    /// Moves in the recording. The screens keep their position, except for the events, which follow.
+    /// Moves in the recording. The screens keep their positions, except for the event screen, which follows the latest event.
     fn wind(&mut self, action: Action, now: Moment) {
         let Some(player) = &mut self.replay else { return };
         self.held = None;
@@ -122,7 +122,7 @@ impl App {
         }
     }
 
-    /// Moves in the history before the pause. At its end, the moment of the pause is shown again.
+    /// Moves in the history before the pause. At the end of the history, the moment of the pause is shown again.
     fn go_back(&mut self, action: Action, now: Moment) {
         self.move_back(now, |player| match action {
             Action::StepBack => player.step_by(-1),
@@ -134,7 +134,7 @@ impl App {
         });
     }
 
-    /// Moves to a place of the scrub bar.
+    /// Moves to a position of the scrub bar.
     pub(super) fn scrub_to(&mut self, place: u64, now: Moment) {
         if let Some(player) = &mut self.replay {
             self.held = None;
@@ -145,7 +145,7 @@ impl App {
         }
     }
 
-    /// Moves the player of the history; the first time it is made.
+    /// Moves the position in the history. The first call makes the player of the history.
     fn move_back(&mut self, now: Moment, go: impl FnOnce(&mut Player)) {
         let paused = self.frozen.as_ref().map_or(now, |(_, at)| *at);
         if self.back.is_none() {
@@ -209,7 +209,7 @@ impl App {
         self.port = None;
     }
 
-    /// How many rows fitted on the last frame.
+    /// How many rows had room in the last frame.
     fn page(&self) -> isize {
         self.drawn.page.max(1).cast_signed()
     }
@@ -257,7 +257,7 @@ impl App {
         }
     }
 
-    /// The message of the selected row.
+    /// The message that the selected row is about.
     fn message_here(&self, now: Moment) -> Option<MessageKey> {
         match self.screen {
             Screen::Port => {
@@ -361,8 +361,8 @@ impl App {
             | Screen::Explain
             | Screen::Settings
             | Screen::Help => {
-                // Before the screen was drawn its length is unknown; drawing then limits the position. Of a text the
-                // first line moves, of a list the selected one.
+                // Before the screen was drawn, its number of lines is unknown; drawing then limits the position. In a text the
+                // first shown line moves, in a list the selected line.
                 let known = self.drawn.screen == self.screen;
                 let is_text = matches!(self.screen, Screen::Explain | Screen::Help);
                 let beside = if is_text { self.drawn.page } else { 1 };
@@ -380,7 +380,7 @@ impl App {
     }
 }
 
-/// Whether an action moves in a recording, or while paused in the recent past.
+/// Whether an action moves in a recording or, while paused, in the history.
 const fn is_winding(action: Action) -> bool {
     matches!(
         action,

@@ -22,7 +22,7 @@ const STEP: Duration = Duration::from_secs(1);
 const END: Duration = Duration::from_secs(2);
 
 pub(super) fn write(player: Player, wanted: &Wanted, mut out: impl Write) -> Result<Exported, ExportError> {
-    // Force colours: the file is for another terminal than the one of this program.
+    // Colours are forced, because the file is for another terminal than that of this program.
     crossterm::style::force_color_output(true);
     let (width, height) = wanted.size;
     let title = format!("imrs monitor: {}", shown(&player.film().cell));

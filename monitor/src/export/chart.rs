@@ -11,11 +11,12 @@ use imrs_wire::text::one_line;
 use std::fmt::Write as _;
 use std::io::Write;
 
-/// Distance between two lanes, in pixels. Then the space left of the first lane, and the distance between two marks.
+/// The distance between two lanes, in pixels. The next two constants are the space left of the first lane, and the
+/// distance between two marks.
 const LANE: usize = 190;
 const LEFT: usize = 110;
 const LINE: usize = 16;
-/// The space above the first mark.
+/// The space above the first mark, in pixels.
 const TOP: usize = 3 * LINE;
 
 const STYLE: &str = "text{font:12px monospace;fill:#333}.h{font-weight:bold}.t{fill:#888}.l{stroke:#bbb}\
@@ -45,7 +46,7 @@ pub(super) fn write(film: &Film, most: usize, mut out: impl Write) -> Result<Exp
     Ok(Exported { count: marks.len(), what: "marks" })
 }
 
-/// The last marks, each with its index in the timeline.
+/// The newest marks, each with its index in the timeline.
 fn newest(line: &Timeline, most: usize) -> Vec<(usize, &Mark)> {
     let first = line.marks.len().saturating_sub(most);
     line.marks.iter().enumerate().skip(first).collect()

@@ -1,4 +1,4 @@
-//! Exports lines of JSON: one for each state of a node, and one for each event.
+//! Exports a recording as lines of JSON: one for each state of a node, and one for each event.
 
 use super::{ExportError, Exported, each_frame};
 use crate::clock::micros;
@@ -72,7 +72,7 @@ pub(super) fn event(incarnation: &NodeIncarnation, at_us: u64, event: &TimedEven
         "at_us": at_us,
         "what": "event",
         "node": incarnation.node.raw(),
-        // On the node's own clock: only differences within one node are meaningful.
+        // The time of the node's own clock: only differences between times of one node are meaningful.
         "mono_us": event.mono_us,
         "task": event.task.map(|task| incarnation.names.task(task).raw().to_owned()),
         "event": word(what.event),

@@ -1,5 +1,5 @@
-//! Exports MCAP with JSON messages. There is one channel per port, flat and numeric, so that every field can be
-//! plotted. There is one channel per node's state, one for events, and a log in Foxglove's schema.
+//! Exports a recording as MCAP with JSON messages. There is one channel per port, flat and numeric, so that every field
+//! can be plotted. There is one channel for the state of each node, one for events, and a log in Foxglove's schema.
 
 use super::{ExportError, Exported, each_frame, jsonl};
 use crate::clock::{Moment, micros};
@@ -95,7 +95,7 @@ fn flat(incarnation: &NodeIncarnation, task: &TaskSnapshot, port: &PortView, at:
     })
 }
 
-/// Logs the new findings, each once for as long as it lasts.
+/// Logs the new findings. A finding is logged once for as long as it lasts.
 fn findings<W: Write + Seek>(
     tape: &mut Tape<W>,
     store: &Store,
@@ -135,7 +135,7 @@ fn log(at: Moment, level: Severity, name: &str, message: &str) -> Value {
     })
 }
 
-/// A name as a segment of a topic.
+/// Converts a name to a segment of a topic.
 fn topic(name: &str) -> String {
     name.chars().map(|c| if c.is_alphanumeric() || "_-.".contains(c) { c } else { '_' }).collect()
 }
@@ -185,7 +185,7 @@ const PORT_SCHEMA: Schema = Schema {
 
 struct Tape<W: Write + Seek> {
     writer: Writer<W>,
-    /// By topic: the channel, and the number of its messages.
+    /// For each topic: its channel, and the number of its messages.
     channels: BTreeMap<String, (u16, u32)>,
     count: usize,
 }

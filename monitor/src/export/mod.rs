@@ -29,15 +29,15 @@ pub enum Form {
 /// The options of an export.
 #[derive(Clone, Debug)]
 pub struct Wanted {
-    /// The format.
+    /// The format of the export.
     pub form: Form,
     /// For an asciicast: columns and rows.
     pub size: (u16, u16),
     /// For an asciicast: the keys that are pressed at the start; `\n` is Enter.
     pub keys: String,
-    /// For an asciicast: the most frames per second.
+    /// For an asciicast: the greatest number of frames per second.
     pub frames: u16,
-    /// For a chart: the most marks that it shows; the newest are kept.
+    /// For a chart: the greatest number of marks that it shows; the newest marks are kept.
     pub most: usize,
 }
 
@@ -52,23 +52,23 @@ impl Wanted {
 /// Why an export failed.
 #[derive(Debug, Error)]
 pub enum ExportError {
-    /// It cannot be written.
+    /// The export cannot be written.
     #[error("cannot be written: {0}")]
     Io(#[from] io::Error),
-    /// The encoding failed.
+    /// The encoding as MCAP failed.
     #[error("cannot be made: {0}")]
     Mcap(#[from] ::mcap::McapError),
-    /// The recording lacks the required data.
+    /// The recording lacks the data that the format requires.
     #[error("the recording has no {0}")]
     Nothing(&'static str),
 }
 
-/// The size of an export.
+/// What an export contains, for a message to the user.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Exported {
-    /// The number of lines, messages, marks or frames.
+    /// How many units the export contains.
     pub count: usize,
-    /// The word for those units.
+    /// The word for the counted units: lines, messages, marks or frames.
     pub what: &'static str,
 }
 

@@ -3,7 +3,7 @@
 use super::Condition;
 use super::fields::Field;
 
-/// How the values of all rows are combined.
+/// How the values of a field in all rows are combined.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Aggregate {
     Sum,
@@ -30,7 +30,7 @@ impl Aggregate {
 /// A quantity of a whole cell.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Amount {
-    /// A field, aggregated over all ports.
+    /// A field, combined over all ports.
     Over(Aggregate, Field),
     /// The number of ports that fulfil a condition.
     Count(Condition<Field>),
@@ -38,9 +38,9 @@ pub(super) enum Amount {
     Up,
     /// The number of nodes that the cell declares.
     Nodes,
-    /// The number of declared nodes that are not up.
+    /// The number of nodes that the cell declares and that are not up.
     Missing,
-    /// The number of findings, without notes.
+    /// The number of findings that are more than notes.
     Findings,
     /// The number of critical findings.
     Critical,

@@ -18,10 +18,10 @@ pub struct Assertion {
     condition: Condition<Amount>,
 }
 
-/// The result of an assertion.
+/// The result of evaluating an assertion.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Held {
-    /// Whether it holds.
+    /// Whether the assertion holds.
     pub holds: bool,
     /// The compared quantities with their present values: `expired = 3`.
     pub values: Vec<String>,
@@ -139,8 +139,8 @@ fn count_up<'a>(incarnations: impl Iterator<Item = &'a NodeIncarnation>, now: Mo
     incarnations.filter(|incarnation| incarnation.presence(now) == Presence::Up).count()
 }
 
-/// A field, aggregated over all ports that have it. With none, the minimum is positive infinity, and the maximum
-/// negative infinity.
+/// A field, combined over all ports that have it. Without such a port, the minimum is positive infinity, and the
+/// maximum negative infinity.
 fn over(
     aggregate: Aggregate,
     field: Field,
@@ -165,7 +165,7 @@ fn over(
     if time { Value::Time(whole) } else { Value::Number(whole) }
 }
 
-/// Calls `each` for every port of the latest incarnations.
+/// Calls `each` for every port of the latest incarnation of each node.
 fn each_port(store: &Store, cells: &Cells<'_>, now: Moment, each: &mut impl FnMut(&PortRow<'_>)) {
     for (cell, findings) in cells {
         for incarnation in store.present(cell) {

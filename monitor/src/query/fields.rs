@@ -1,4 +1,4 @@
-//! The fields of rows that conditions can use.
+//! The fields of the monitor's rows that conditions can use.
 
 use super::Value;
 use crate::clock::{self, Moment};
@@ -25,19 +25,19 @@ pub enum Kind {
 /// The description of a field.
 #[derive(Clone, Copy, Debug)]
 pub struct FieldInfo {
-    /// The field.
+    /// The field that is described.
     pub field: Field,
-    /// Its name in conditions.
+    /// The name of the field in conditions.
     pub name: &'static str,
-    /// Its type.
+    /// The type of the field.
     pub kind: Kind,
-    /// Its meaning.
+    /// The meaning of the field.
     pub help: &'static str,
 }
 
 macro_rules! fields {
     ($($field:ident $name:literal $kind:ident $help:literal;)*) => {
-        /// A field of a row.
+        /// A field of a row, on which a condition can depend.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         pub enum Field {
             $(#[doc = $help] $field,)*
@@ -99,33 +99,33 @@ pub(super) fn find(name: &str) -> Option<&'static FieldInfo> {
 
 /// A row with fields.
 pub trait Row {
-    /// The value of a field.
+    /// The value of a field of this row.
     fn field(&self, field: Field) -> Value<'_>;
-    /// Whether the row contains `words`, which must be lower case.
+    /// Whether the names in the row contain `words`, which must be lower case.
     fn mentions(&self, words: &str) -> bool;
 }
 
 /// A row of a port, on the overview.
 #[derive(Clone, Copy, Debug)]
 pub struct PortRow<'a> {
-    /// The store.
+    /// The store that contains the port.
     pub store: &'a Store,
-    /// The node.
+    /// The node of the port.
     pub incarnation: &'a NodeIncarnation,
-    /// The task.
+    /// The task that has the port.
     pub task: &'a TaskSnapshot,
-    /// The port.
+    /// The port of the row.
     pub port: &'a PortView,
     /// All findings of the cell.
     pub findings: &'a [Finding],
-    /// The shown moment.
+    /// The moment that the screen shows.
     pub now: Moment,
 }
 
 /// A row of a node or task.
 #[derive(Clone, Copy, Debug)]
 pub struct NodeRow<'a> {
-    /// The node.
+    /// The node of the row, or of the row's task.
     pub incarnation: &'a NodeIncarnation,
     /// The task, if the row is a task's.
     pub task: Option<&'a TaskSnapshot>,
@@ -133,12 +133,12 @@ pub struct NodeRow<'a> {
     pub findings: &'a [Finding],
 }
 
-/// A row of an event.
+/// A row of an event in the event log.
 #[derive(Clone, Copy, Debug)]
 pub struct EventRow<'a> {
-    /// The entry of the journal.
+    /// The entry of the journal that the row shows.
     pub entry: &'a Entry,
-    /// The moment relative to which its age is computed.
+    /// The moment relative to which the event's age is computed.
     pub now: Moment,
 }
 
@@ -166,7 +166,7 @@ const fn level(level: Option<Severity>) -> &'static str {
 }
 
 fn worst(findings: &[Finding], place: Place) -> Option<&Finding> {
-    // Findings are sorted by severity, most severe first.
+    // The first finding that matches is the most severe one, because findings are sorted by severity.
     findings.iter().find(|finding| place.holds(&finding.place))
 }
 

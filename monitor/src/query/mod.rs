@@ -9,8 +9,8 @@
 //! literal    = 3 | 20ms | 80% | word | "some words"
 //! ```
 //!
-//! Words without an operator match in the names of a row. `~` tests whether a text contains another. A missing value
-//! (the slack of an empty port) fulfils only `!=`.
+//! Words without an operator match if a row's names contain them. `~` tests whether a text contains another. A missing
+//! value (the slack of an empty port) fulfils only `!=`.
 
 mod amount;
 mod assertion;
@@ -26,13 +26,13 @@ use std::borrow::Cow;
 /// The value of a field, or a literal.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Value<'a> {
-    /// The row has no such value.
+    /// The row has no value of this field.
     Missing,
     /// A count or a percentage.
     Number(f64),
-    /// Microseconds.
+    /// A length of time in microseconds.
     Time(f64),
-    /// A name or a word; comparison ignores case.
+    /// A name or a word; comparisons ignore case.
     Text(Cow<'a, str>),
 }
 
@@ -55,16 +55,16 @@ pub enum Operator {
     Contains,
 }
 
-/// A condition over operands of one kind: fields of a row, or quantities of a cell.
+/// A condition on operands of one kind: fields of a row, or quantities of a cell.
 #[derive(Clone, Debug, PartialEq)]
 enum Condition<T> {
     And(Vec<Condition<T>>),
     Or(Vec<Condition<T>>),
     Not(Box<Condition<T>>),
     Compare(T, Operator, Value<'static>),
-    /// Two quantities of a cell.
+    /// A comparison of two quantities of a cell.
     Against(T, Operator, T),
-    /// The row's names contain the words.
+    /// The condition that the row's names contain the words.
     Words(String),
 }
 
@@ -96,10 +96,10 @@ enum Right<'a, T> {
 pub struct Filter(Condition<Field>);
 
 impl Filter {
-    /// Parses a filter; `None` if the text is empty.
+    /// Parses a filter. Returns `None` if the text is empty.
     ///
     /// # Errors
-    /// [`QueryError`]: the column, and what is expected there.
+    /// [`QueryError`]: the column of the error, and what is expected there.
     pub fn parse(text: &str) -> Result<Option<Self>, QueryError> {
         if text.trim().is_empty() {
             return Ok(None);
@@ -107,19 +107,19 @@ impl Filter {
         parse::filter(text).map(|condition| Some(Self(condition)))
     }
 
-    /// As [`parse`](Self::parse), but an invalid or unfinished condition is matched as plain text.
+    /// As [`parse`](Self::parse), but an invalid or unfinished condition becomes plain words to search for.
     #[must_use]
     pub fn lenient(text: &str) -> Option<Self> {
         Self::parse(text).unwrap_or_else(|_| Some(Self(Condition::Words(text.to_lowercase()))))
     }
 
-    /// Whether it is plain words. Then all rows within a matching row match too.
+    /// Whether the filter is plain words. Then all rows within a matching row match, too.
     #[must_use]
     pub const fn is_words(&self) -> bool {
         matches!(self.0, Condition::Words(_))
     }
 
-    /// Whether `row` matches.
+    /// Whether `row` matches the filter.
     #[must_use]
     pub fn takes(&self, row: &impl Row) -> bool {
         let compare = |field: &Field, operator, right: Right<'_, Field>| match right {
@@ -130,7 +130,7 @@ impl Filter {
     }
 }
 
-/// Compares two values. For values of different types, or missing ones, only `!=` holds.
+/// Compares two values. If their types differ, or one of them is missing, only `!=` holds.
 fn operator_holds(left: &Value<'_>, operator: Operator, right: &Value<'_>) -> bool {
     let order = match (left, right) {
         (Value::Number(a), Value::Number(b)) | (Value::Time(a), Value::Time(b)) => a.partial_cmp(b),

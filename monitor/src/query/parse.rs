@@ -1,4 +1,4 @@
-//! The parser of conditions.
+//! The parser of the monitor's conditions.
 
 use super::amount::{Aggregate, Amount};
 use super::fields::{self, FIELDS, Field, Kind};
@@ -6,13 +6,13 @@ use super::{Condition, Operator, Value};
 use std::borrow::Cow;
 use thiserror::Error;
 
-/// A text that is not a valid condition.
+/// The error that a text is not a valid condition.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("at column {column}: {what}")]
 pub struct QueryError {
-    /// The column, in characters from 1.
+    /// The column of the error, in characters from 1.
     pub column: usize,
-    /// The error, and what is expected instead.
+    /// What is wrong, and what is expected instead.
     pub what: String,
 }
 
@@ -28,11 +28,11 @@ enum Token {
     Close,
 }
 
-/// The left side of a comparison.
+/// A type of operands: what may stand on the left side of a comparison.
 pub(super) trait Operand: Sized {
-    /// Parses the operand that begins with `word`, and returns its type with it.
+    /// Parses the operand that begins with `word`. Returns it with its type.
     fn read(parser: &mut Parser, word: &str, column: usize) -> Result<(Self, Kind), QueryError>;
-    /// Whether words without an operator are allowed.
+    /// Whether a condition may consist of words without an operator.
     const WORDS: bool;
 }
 
@@ -48,7 +48,7 @@ impl Operand for Field {
 impl Operand for Amount {
     const WORDS: bool = false;
 
-    /// `expired` (the sum of all ports), `min_slack`, `count(class=2 and fill>80%)`, `max(len)`.
+    /// An operand of an assertion: `expired` (the sum of all ports), `min_slack`, `count(class=2 and fill>80%)`, `max(len)`.
     fn read(parser: &mut Parser, word: &str, column: usize) -> Result<(Self, Kind), QueryError> {
         if let Some(amount) = Self::named(word) {
             return Ok((amount, Kind::Number));
@@ -112,7 +112,7 @@ fn whole<T: Operand>(text: &str) -> Result<Condition<T>, QueryError> {
 }
 
 pub(super) struct Parser {
-    /// Each token with its start column.
+    /// The tokens of the text, each with the column at which it starts.
     tokens: Vec<(usize, Token)>,
     at: usize,
     end: usize,
@@ -207,7 +207,8 @@ impl Parser {
         Ok(Condition::Compare(left, operator, right))
     }
 
-    /// A quantity on the right of a number: `up==nodes`. Anything else is left for [`Self::literal`].
+    /// Parses a quantity on the right side of a comparison with a number: `up==nodes`. For anything else returns
+    /// `None`, so that [`Self::literal`] parses it.
     fn quantity<T: Operand>(&mut self, kind: Kind) -> Option<T> {
         if T::WORDS || kind != Kind::Number {
             return None;
@@ -221,7 +222,7 @@ impl Parser {
         right
     }
 
-    /// A sequence of words, to match in a name.
+    /// Parses a sequence of words, to be found in a name.
     fn words<T>(&mut self) -> Result<Condition<T>, QueryError> {
         let mut words: Vec<String> = Vec::new();
         loop {
@@ -268,7 +269,7 @@ impl Parser {
     }
 }
 
-/// Parses a time; the result is in microseconds.
+/// Parses a length of time. The result is in microseconds.
 fn time(text: &str) -> Option<f64> {
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
     let unit = match &text[digits.len()..] {

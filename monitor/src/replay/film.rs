@@ -1,5 +1,5 @@
-//! An opened recording of observations: its encoded frames, and the stops at which it can be shown. The present run is
-//! viewed the same way ([`History`](crate::history::History)).
+//! An opened recording of observations (a film): its encoded frames, and the stops at which it can be shown. The
+//! history of the present run is shown in the same way ([`History`](crate::history::History)).
 
 use crate::clock::{Moment, micros};
 use crate::error::MonitorError;
@@ -17,18 +17,18 @@ use std::time::Duration;
 /// The approximate size of a segment of a recording, in bytes.
 const REEL: usize = 4 << 20;
 
-/// A frame, in its recorded encoding.
+/// A recorded frame, in its encoded form.
 #[derive(Clone, Debug)]
 struct Frame {
     at: Moment,
     source: u16,
-    /// Whether it shows an anomaly.
+    /// Whether the frame shows an anomaly.
     odd: bool,
-    /// Its range in the bytes of the reel.
+    /// The range of the frame in the bytes of its segment.
     bytes: Range<u32>,
 }
 
-/// A segment of consecutive frames. A film and the growing history share it.
+/// A segment of consecutive frames, which a recording and the growing history can share.
 #[derive(Clone, Debug, Default)]
 pub struct Reel {
     bytes: Vec<u8>,
@@ -36,7 +36,7 @@ pub struct Reel {
 }
 
 impl Reel {
-    /// Adds a frame; `odd` marks an anomaly. Returns false if the reel is full.
+    /// Adds a frame; `odd` marks an anomaly. Returns false if the segment is full.
     pub fn put(&mut self, at: Moment, source: u16, odd: bool, bytes: &[u8]) -> bool {
         let [start, end] = [self.bytes.len(), self.bytes.len() + bytes.len()].map(u32::try_from);
         let (Ok(start), Ok(end)) = (start, end) else { return false };
@@ -45,13 +45,13 @@ impl Reel {
         true
     }
 
-    /// The memory that it takes, in bytes.
+    /// The memory that the segment takes, in bytes.
     #[must_use]
     pub fn weight(&self) -> usize {
         self.bytes.capacity() + self.frames.capacity() * size_of::<Frame>()
     }
 
-    /// The arrival of its first frame.
+    /// The arrival time of the segment's first frame.
     #[must_use]
     pub fn began(&self) -> Option<Moment> {
         self.frames.first().map(|frame| frame.at)
@@ -69,29 +69,29 @@ impl Reel {
     }
 }
 
-/// A point at which the recording can be shown: the state after the frames up to here.
+/// A stop: an instant at which the recording can be shown. The state there follows from all frames up to it.
 #[derive(Clone, Debug)]
 pub struct Stop {
-    /// The moment.
+    /// The instant of the stop.
     pub at: Moment,
-    /// The number of frames up to here.
+    /// The number of frames up to this stop.
     pub frames: usize,
-    /// Whether there was an anomaly since the previous stop.
+    /// Whether there was an anomaly between the previous stop and this one.
     pub odd: bool,
 }
 
 /// A recording of observations. Frames stay encoded and are decoded when they are shown.
 #[derive(Debug, Default)]
 pub struct Film {
-    /// The segments, and the number of frames up to the end of each.
+    /// The segments. With each of them, the number of frames up to its end.
     reels: Vec<(Arc<Reel>, usize)>,
     /// The segment that is being filled.
     open: Reel,
     /// The number of frames.
     frames: usize,
-    /// Never empty.
+    /// The stops of the recording; there is at least one.
     stops: Vec<Stop>,
-    /// The description of the counterexample, if it is one.
+    /// The description of the counterexample, if the recording shows one.
     pub story: Option<Story>,
     /// The name of the cell, as the recording program knew it.
     pub cell: String,
@@ -121,7 +121,7 @@ impl Film {
     /// Reads a recording up to its last whole record.
     ///
     /// # Errors
-    /// The reason why nothing can be shown.
+    /// Says why nothing can be shown.
     pub fn read(source: impl Read) -> Result<Self, String> {
         let mut reader = RecordingReader::new(source).map_err(|error| error.to_string())?;
         if reader.header().node.is_some() {
@@ -172,7 +172,8 @@ impl Film {
         Ok(film)
     }
 
-    /// A film of the present run: `opening` has the state at the start, `reels` the later frames.
+    /// The history of the present run, as a film: `opening` has the state at the start of the history, `reels` the
+    /// later frames.
     #[must_use]
     pub fn of(cell: String, opening: Arc<Reel>, reels: Vec<Arc<Reel>>) -> Self {
         let mut film = Self { cell, ..Self::default() };
@@ -188,7 +189,7 @@ impl Film {
         film
     }
 
-    /// Adds a frame.
+    /// Adds a frame to this recording.
     fn add(&mut self, source: u16, at: u64, bytes: &[u8], shown: Shown, in_story: &mut bool) {
         let at = Duration::from_micros(at);
         let odd = match &shown {
@@ -217,7 +218,7 @@ impl Film {
         self.end_stop();
     }
 
-    /// Closes the open segment.
+    /// Closes the segment that is being filled.
     fn close(&mut self) {
         let mut reel = std::mem::take(&mut self.open);
         reel.close();
@@ -247,19 +248,19 @@ impl Film {
         &self.stops
     }
 
-    /// Its length.
+    /// The length of the recording: the time of its last stop.
     #[must_use]
     pub fn length(&self) -> Moment {
         self.stops.last().map_or(Duration::ZERO, |stop| stop.at)
     }
 
-    /// The last stop at or before this time; the first one if there is none.
+    /// The last stop at or before this time; the first stop if there is none before.
     #[must_use]
     pub fn stop_at(&self, at: Moment) -> usize {
         self.stops.partition_point(|stop| stop.at <= at).saturating_sub(1)
     }
 
-    /// The number of frames.
+    /// The number of frames of the recording.
     pub(crate) const fn frames(&self) -> usize {
         self.frames
     }
@@ -272,7 +273,7 @@ impl Film {
         else {
             return Scene::Nothing;
         };
-        // Decoding cannot fail: `read` has decoded the frame before, or the history has encoded it.
+        // Decoding cannot fail: `read` has already decoded the frame once, or the history has encoded it.
         let Some(shown) = reel.shown(frame) else { return Scene::Nothing };
         let feed = match shown {
             Shown::Attached { hello, .. } => match hello.role {
@@ -288,7 +289,7 @@ impl Film {
     }
 }
 
-/// Whether a frame shows an anomaly; steps of a counterexample carry their own flag.
+/// Whether a frame shows an anomaly. The steps of a counterexample say this themselves.
 pub(crate) fn is_odd(shown: &Shown) -> bool {
     match shown {
         Shown::Lost { .. } => true,

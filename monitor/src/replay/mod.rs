@@ -1,7 +1,7 @@
 //! Replays a recording of observations: the same screens as for running nodes, at any stop of the recording.
 //!
 //! A [`Film`] is the recording, and a [`Player`] is a position in it that may move. The position depends only on the
-//! film, the keys and the given moments.
+//! film, the keys pressed and the given moments.
 
 mod film;
 mod ribbon;
@@ -21,29 +21,30 @@ use std::sync::Arc;
 use std::time::Duration;
 use thiserror::Error;
 
-/// The most intermediate states that are kept, to move back quickly.
+/// The greatest number of intermediate states that are kept, so that moving back is quick.
 const KEPT: usize = 32;
-/// Their approximate memory limit, in bytes. Two are kept whatever their size.
+/// The approximate memory limit of the kept intermediate states, in bytes. Two states are kept even if they are larger.
 const KEPT_BYTES: usize = 12 << 20;
-/// The least number of stops between two of them.
+/// The least number of stops between two kept states.
 const APART: usize = 16;
-/// After a long way to a stop, the state this many stops before it is kept too, so that the next steps back are quick.
+/// If moving to a stop had to apply many frames, the state this many stops before it is kept, too, so that the next
+/// steps back are quick.
 const NEAR: usize = 64;
-/// How long a step of a counterexample is shown at speed 1; its real ticks would be too short.
+/// How long a step of a counterexample is shown at speed 1. Its real duration, in ticks, would be too short.
 const STEP: Duration = Duration::from_secs(1);
 
 /// A position in a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum At {
-    /// This long after the beginning.
+    /// A position this long after the beginning.
     After(Duration),
-    /// This long before the end.
+    /// A position this long before the end.
     BeforeEnd(Duration),
-    /// A tick of a counterexample; a second in other recordings.
+    /// The position at a tick of a counterexample, or at a second of another recording.
     Tick(u64),
 }
 
-/// A text that is not a position.
+/// The error that a text is not a position.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("`{0}` is no time: write 3s, 1500ms, -30s (before the end), or the tick of a counterexample")]
 pub struct AtError(String);
@@ -72,28 +73,28 @@ impl FromStr for At {
     }
 }
 
-/// A position in a recording, which may play.
+/// A position in a recording. If the recording plays, the position moves.
 #[derive(Clone, Debug)]
 pub struct Player {
     film: Arc<Film>,
     store: Store,
     step: Option<Step>,
-    /// The stop shown.
+    /// The stop that is shown.
     stop: usize,
-    /// The shown time; while playing it lies between two stops.
+    /// The time that is shown. While the recording plays, it lies between two stops.
     at: Moment,
-    /// While playing: the moment, the stop and the shown time at which it started.
+    /// While the recording plays: the moment, the stop and the shown time at which it started to play.
     playing: Option<(Moment, usize, Moment)>,
     speed: f64,
-    /// Intermediate states, by stop.
+    /// The kept intermediate states, in the order of their stops.
     kept: Vec<Kept>,
-    /// The number of stops between two of them.
+    /// The number of stops between two kept states.
     apart: usize,
-    /// The state shortly before the stop shown last after a long way.
+    /// The state shortly before the last stop to which the user moved and for which many frames had to be applied.
     near: Option<Kept>,
 }
 
-/// The state at a stop.
+/// The kept state at a stop.
 #[derive(Clone, Debug)]
 struct Kept {
     stop: usize,
@@ -102,7 +103,7 @@ struct Kept {
 }
 
 impl Player {
-    /// A player at the first stop, paused. `speed` is a multiple of the recorded speed.
+    /// A player at the first stop, paused. `speed` is the multiple of the recorded speed at which it plays.
     #[must_use]
     pub fn new(film: Arc<Film>, speed: f64) -> Self {
         let mut player = Self {
@@ -122,7 +123,7 @@ impl Player {
         player
     }
 
-    /// The recording.
+    /// The recording that is shown.
     #[must_use]
     pub fn film(&self) -> &Film {
         &self.film
@@ -134,7 +135,7 @@ impl Player {
         &self.store
     }
 
-    /// The shown step of a counterexample.
+    /// The step of a counterexample that is shown.
     #[must_use]
     pub const fn step(&self) -> Option<&Step> {
         self.step.as_ref()
@@ -146,13 +147,13 @@ impl Player {
         self.stop
     }
 
-    /// The shown time.
+    /// The time that is shown.
     #[must_use]
     pub const fn moment(&self) -> Moment {
         self.at
     }
 
-    /// Whether it plays.
+    /// Whether the recording plays.
     #[must_use]
     pub const fn is_playing(&self) -> bool {
         self.playing.is_some()
@@ -164,7 +165,7 @@ impl Player {
         self.stop + 1 == self.film.stops().len()
     }
 
-    /// Its position as text: `3/17 tick 4`, or `1.20s of 9.00s`.
+    /// The position as text: `3/17 tick 4`, or `1.20s of 9.00s`.
     #[must_use]
     pub fn position(&self) -> String {
         match (&self.step, &self.film.story) {
@@ -173,12 +174,12 @@ impl Player {
         }
     }
 
-    /// Applies what the film does not contain to the shown store.
+    /// Applies an arrival that the recording does not contain to the shown store.
     pub(crate) fn add(&mut self, arrival: Arrival) {
         self.store.apply(arrival);
     }
 
-    /// Moves to the stop at a time, and pauses.
+    /// Moves to the stop at a position, and pauses.
     pub fn seek(&mut self, at: At) {
         let length = self.film.length();
         let tick_us = self.film.story.as_ref().map_or(1_000_000, |story| story.tick_us);
@@ -227,7 +228,8 @@ impl Player {
         }
     }
 
-    /// Advances to the position at `now`. Returns whether it plays, so that the screen may have changed.
+    /// Advances to the position at the moment `now`. Returns whether the recording plays, so that the screen may have
+    /// changed.
     pub fn advance(&mut self, now: Moment) -> bool {
         let Some((since, from, at)) = self.playing else { return false };
         let passed = now.saturating_sub(since).as_secs_f64() * self.speed;
@@ -271,7 +273,7 @@ impl Player {
         }
     }
 
-    /// Applies the frames after stop `from` (`None`: from the beginning) up to stop `to`.
+    /// Applies the frames after stop `from` (with `None`, from the beginning on) up to stop `to`.
     fn show(&mut self, from: Option<usize>, to: usize) {
         let film = Arc::clone(&self.film);
         let stops = film.stops();
@@ -303,7 +305,7 @@ impl Player {
         Kept { stop, store: self.store.clone(), step: self.step.clone() }
     }
 
-    /// Drops every second kept state, and keeps fewer from now on, until they fit.
+    /// Drops every second kept state, and keeps fewer from now on, until the kept states fit into their memory limit.
     fn thin_out(&mut self) {
         let weight = |kept: &[Kept]| kept.iter().map(|kept| kept.store.weight()).sum::<usize>();
         while self.kept.len() > 2 && (self.kept.len() > KEPT || weight(&self.kept) > KEPT_BYTES) {

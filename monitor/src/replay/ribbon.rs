@@ -1,24 +1,26 @@
-//! A recording from its beginning to its end, with the places at which something went wrong: what the scrub bar draws.
+//! The scrub bar's data: a recording from its beginning to its end, with the places at which something went wrong. A
+//! place is a position on the bar.
 
 use super::{Film, Player};
 use crate::clock::{Moment, Span, micros};
 
-/// Anomalies closer together than the length divided by this are one: no screen has more columns.
+/// Two anomalies that are closer together than the length divided by this number are shown as one, because no screen
+/// has more columns.
 const PLACES: u64 = 1_000;
 
-/// The extent of a recording and its anomalies. It refers to no frame, so it keeps no frame in memory.
+/// The ends of a recording, and its anomalies. This refers to no frame, so it keeps no frame in memory.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Ribbon {
-    /// Whether places are steps of a counterexample; otherwise they are microseconds.
+    /// Whether places are counted in steps of a counterexample; otherwise they are counted in microseconds.
     steps: bool,
     first: u64,
     last: u64,
-    /// Ascending.
+    /// The places of the anomalies, ascending.
     odd: Vec<u64>,
 }
 
 impl Ribbon {
-    /// The ribbon of a film.
+    /// The data of the scrub bar for a recording.
     #[must_use]
     pub fn of(film: &Film) -> Self {
         let steps = film.story.is_some();
@@ -39,13 +41,13 @@ impl Ribbon {
         if self.steps { player.stop() as u64 } else { self.moment(player.moment()) }
     }
 
-    /// The place of a moment.
+    /// The place that belongs to a moment.
     #[must_use]
     pub fn moment(&self, at: Moment) -> u64 {
         micros(at).clamp(self.first, self.last)
     }
 
-    /// The column, of `width`, in which a place is drawn.
+    /// The column in which a place is drawn, if the bar has `width` columns.
     #[must_use]
     pub fn column(&self, place: u64, width: u16) -> u16 {
         let length = u128::from(self.last.saturating_sub(self.first)).max(1);
@@ -53,7 +55,8 @@ impl Ribbon {
         u16::try_from(at).unwrap_or(u16::MAX).min(width.saturating_sub(1))
     }
 
-    /// The place that a column of `width` shows: that of an anomaly if it has one, otherwise its beginning.
+    /// The place that a column stands for, if the bar has `width` columns: that of an anomaly if it has one, otherwise
+    /// its beginning.
     #[must_use]
     pub fn place_of(&self, column: u16, width: u16) -> u64 {
         if let Some(odd) = self.odd.iter().find(|place| self.column(**place, width) == column) {
@@ -65,12 +68,12 @@ impl Ribbon {
         self.first.saturating_add(u64::try_from(after).unwrap_or(u64::MAX)).min(self.last)
     }
 
-    /// The columns, of `width`, in which something went wrong.
+    /// The columns in which something went wrong, if the bar has `width` columns.
     pub fn odd(&self, width: u16) -> impl Iterator<Item = u16> {
         self.odd.iter().map(move |place| self.column(*place, width))
     }
 
-    /// A place, and the end, as people read them: time since the beginning, or the number of a step.
+    /// A place and the end as texts for people: the time since the beginning, or the number of a step.
     #[must_use]
     pub fn labels(&self, place: u64) -> (String, String) {
         let label = |place: u64| {
@@ -82,12 +85,12 @@ impl Ribbon {
 }
 
 impl Player {
-    /// Moves to a place of a ribbon, and pauses.
+    /// Moves to a place of the scrub bar, and pauses.
     pub fn go_to_place(&mut self, ribbon: &Ribbon, place: u64) {
         if ribbon.steps {
             self.go(usize::try_from(place).unwrap_or(usize::MAX));
         } else {
-            // A place is rounded down, and the stop may be within its microsecond.
+            // A place is rounded down to a microsecond, and the stop may be within that microsecond.
             self.seek(super::At::After(Moment::from_micros(place) + Moment::from_nanos(999)));
         }
     }

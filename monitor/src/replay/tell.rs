@@ -14,13 +14,13 @@ pub(crate) struct Position<'a> {
     stop: usize,
     stops: usize,
     at_us: u64,
-    /// Ticks since the start, for a counterexample.
+    /// For a counterexample: the ticks since its start.
     tick: Option<u64>,
     odd: bool,
     happened: &'a [String],
     tasks: Vec<Doing<'a>>,
     story: Option<StoryShown<'a>>,
-    /// A note on the file.
+    /// A note on the file: that it is cut off or damaged.
     notice: Option<&'a str>,
 }
 
@@ -44,7 +44,7 @@ struct StoryShown<'a> {
     steps: u32,
 }
 
-/// The position of `player`, for JSON.
+/// The position of `player`, to be printed as JSON.
 pub(crate) fn position(player: &Player) -> Position<'_> {
     let film = player.film();
     let step = player.step();
@@ -73,19 +73,19 @@ pub(crate) fn position(player: &Player) -> Position<'_> {
     }
 }
 
-/// The position of `player` and the events there, one fact per line.
+/// The position of `player` and the events at it, one fact per line.
 pub(crate) fn text(player: &Player) -> String {
     format!("replay at {}\n{}{}", player.position(), story(player), happened(player))
 }
 
-/// The step that `player` shows: its events, and the activities and queues after it, one fact per line.
+/// The step that `player` shows, one fact per line: its events, and the activities of tasks and the queues after it.
 pub(crate) fn step(player: &Player) -> String {
     let odd = player.film().stops().get(player.stop()).is_some_and(|stop| stop.odd);
     let odd = if odd { "  !" } else { "" };
     format!("step {}{odd}\n{}{}", player.position(), happened(player), queues(player))
 }
 
-/// The subject of a recording, one fact per line.
+/// What a recording shows, one fact per line.
 pub(crate) fn story(player: &Player) -> String {
     let film = player.film();
     let mut out = String::new();
@@ -113,7 +113,7 @@ fn happened(player: &Player) -> String {
     out
 }
 
-/// The queues of the tasks and the transit buffers of the running nodes, as far as they are not empty.
+/// The queues of tasks, and the transit buffers of running nodes, that are not empty.
 fn queues(player: &Player) -> String {
     let mut out = String::new();
     let up = |incarnation: &&NodeIncarnation| {
@@ -157,7 +157,7 @@ pub(crate) fn cause(story: &Story) -> String {
     format!("{}: {}", shown_line(&story.kind), shown_line(&story.cause))
 }
 
-/// Its place in the cell's file.
+/// The place of the finding in the cell's file.
 pub(crate) fn place(story: &Story) -> Option<String> {
     let place = story.place.as_ref()?;
     let first = place.text.lines().next().unwrap_or_default();

@@ -1,4 +1,4 @@
-//! A source for running nodes: named endpoints, or all sockets of the socket folder, including later ones.
+//! A source for running nodes: at named addresses, or at all sockets of the socket folder, also those that appear later.
 
 use super::session::{self, End, Pace, Talk};
 use super::{Feed, Sink, Source, SourceId, Wishes};
@@ -16,20 +16,22 @@ use std::time::{Duration, Instant};
 
 /// How often the socket folder is scanned.
 const SCAN: Duration = Duration::from_millis(250);
-/// The first and the longest pause before another attempt.
+/// The first and the longest pause before another attempt to connect.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(4));
-/// How often a pause checks whether to stop.
+/// How often a waiting thread checks whether it must stop.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// The most addresses that are followed because a node reported them.
+/// The greatest number of addresses to which the monitor connects because a node reported them.
 const MOST_FOLLOWED: usize = 64;
 
 /// The nodes to attach to.
 #[derive(Clone, Debug)]
 pub enum Which {
-    /// These endpoints, and the other nodes of their cells that they report. Attempts are repeated for ever.
+    /// The nodes at these addresses, and the other nodes of their cells that they report. The monitor repeats its
+    /// attempts for ever.
     Named(Vec<Endpoint>),
-    /// All sockets under this folder, present or later. A node is given up when its socket is gone.
+    /// The nodes of all sockets under this folder, also of those that appear later. The monitor gives a node up when
+    /// its socket is gone.
     Under(PathBuf),
 }
 
@@ -42,12 +44,12 @@ pub struct Live {
     token: Option<Arc<Token>>,
     stop: Arc<AtomicBool>,
     started: Arc<AtomicUsize>,
-    /// The number of its first connection.
+    /// The number that this source gives to its first connection.
     first: u32,
 }
 
 impl Live {
-    /// A source that will attach to `which`.
+    /// Makes a source that will attach to the nodes of `which`.
     #[must_use]
     pub fn new(which: Which) -> Self {
         let pace = Pace { period: Duration::from_millis(100) };
@@ -62,27 +64,27 @@ impl Live {
         self
     }
 
-    /// Sets the wishes to pass to the nodes.
+    /// Sets the subscription ([`Wishes`]) that this source passes to the nodes.
     #[must_use]
     pub fn with_wishes(mut self, wishes: &Wishes) -> Self {
         self.wishes = wishes.clone();
         self
     }
 
-    /// The wishes that it passes to the nodes.
+    /// The subscription that this source passes to the nodes.
     #[must_use]
     pub const fn wishes(&self) -> &Wishes {
         &self.wishes
     }
 
-    /// Sets the number of the first connection, if lower numbers are in use.
+    /// Sets the number of the first connection, if lower numbers are already in use.
     #[must_use]
     pub const fn numbered_from(mut self, first: u32) -> Self {
         self.first = first;
         self
     }
 
-    /// How many endpoints were present at the start or reported since. Each of them will attach or fail.
+    /// To how many nodes this source has tried to attach so far. Each attempt succeeds or fails later.
     #[must_use]
     pub fn started(&self) -> usize {
         self.started.load(Ordering::Relaxed)
@@ -141,21 +143,21 @@ struct Crew {
     started: Arc<AtomicUsize>,
 }
 
-/// The known nodes and addresses, so that no node is attached to twice.
+/// The known nodes and addresses, so that the monitor attaches to no node twice.
 #[derive(Default)]
 struct Known {
-    /// The nodes with a connection thread, by cell and node id.
+    /// The nodes with a connection thread, as names of cells and ids of nodes.
     nodes: HashSet<(String, u16)>,
-    /// The addresses that nodes reported; each is followed once.
+    /// The addresses that nodes reported. The monitor connects to each of them once.
     followed: HashSet<Endpoint>,
 }
 
 impl Crew {
-    /// Scans the folder until told to stop.
+    /// Scans the folder repeatedly, until this source must stop.
     fn scan(&self, base: &Path, mut attended: HashMap<PathBuf, JoinHandle<()>>) {
         while !self.pause(SCAN) {
             attended.retain(|_, thread| !thread.is_finished());
-            // An unreadable folder may be readable at the next scan.
+            // A folder that cannot be read now may be readable at the next scan.
             let found = place::sockets_in(base).unwrap_or_default();
             self.attend_all(found, &mut attended);
         }
@@ -222,8 +224,8 @@ impl Crew {
         }
     }
 
-    /// Follows the addresses that a node reports for the other nodes of its cell, so that one address leads to the
-    /// whole cell. Unix sockets are skipped if the whole folder is scanned anyway.
+    /// Connects to the addresses that a node reports for the other nodes of its cell, so that one address leads to all
+    /// nodes of the cell. Unix sockets are skipped if the whole folder is scanned anyway.
     fn follow(&self, from: &Endpoint, identity: &NodeIdentity, places: &Places, found: bool) {
         let mut new = Vec::new();
         {
@@ -250,7 +252,7 @@ impl Crew {
         }
     }
 
-    /// Waits. Returns true if it must stop.
+    /// Waits. Returns true if this source must stop.
     fn pause(&self, length: Duration) -> bool {
         let until = Instant::now() + length;
         while !self.stop.load(Ordering::Relaxed) {
@@ -264,8 +266,8 @@ impl Crew {
     }
 }
 
-/// A reported address as seen from here. If it is an unspecified or loopback address, the host is the one through which
-/// the reporting node was reached.
+/// Converts an address that a node reported to one that this monitor can reach. For an unspecified or loopback address,
+/// the host is the one at which the monitor reached the reporting node.
 fn seen_from(from: &Endpoint, told: &str) -> Option<Endpoint> {
     let endpoint: Endpoint = told.parse().ok()?;
     let Endpoint::Tcp(address) = &endpoint else {
@@ -282,7 +284,7 @@ fn seen_from(from: &Endpoint, told: &str) -> Option<Endpoint> {
     Some(Endpoint::Tcp(format!("{host}:{}", address.port())))
 }
 
-/// Removes a socket without a living process.
+/// Removes a socket that no running process serves.
 fn clear_away(path: &Path) -> Option<Feed> {
     let cell = path.parent()?.file_name()?.to_str()?.to_owned();
     let node = place::node_of(path)?.to_owned();

@@ -1,4 +1,4 @@
-//! The sources of the monitor's data. From here on a running node, a recording and a test look alike.
+//! The sources of the monitor's data. The code after a source treats a running node, a recording and a test alike.
 
 pub mod live;
 mod session;
@@ -12,7 +12,7 @@ use crate::error::MonitorError;
 use imrs_wire::obs::{NodeIdentity, ServerFrame};
 use std::sync::Arc;
 
-/// Identifies a connection, or its equivalent in a recording.
+/// Identifies a connection to a node, or its equivalent in a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct SourceId(pub u32);
 
@@ -21,39 +21,39 @@ pub struct SourceId(pub u32);
 pub enum Feed {
     /// The source is attached to a node.
     Attached {
-        /// The node.
+        /// The identity of the node.
         identity: NodeIdentity,
-        /// The process id.
+        /// The id of the node's process.
         pid: u32,
-        /// Name and version of the program.
+        /// The name and version of the node's program.
         build: String,
     },
     /// The node sent a frame.
     Frame(Box<ServerFrame>),
     /// The validator's verdict on the recording of a node. It names its node, because it comes from no connection.
     Judged {
-        /// The name of its cell.
+        /// The name of the node's cell.
         cell: String,
-        /// Its name.
+        /// The name of the node.
         node: String,
-        /// Its incarnation.
+        /// The incarnation of the node.
         incarnation: u8,
-        /// The verdict.
+        /// The verdict on the node.
         said: Box<Conformance>,
     },
-    /// The source is no longer attached.
+    /// The source has lost its connection to the node.
     Lost {
         /// The reason, as text for people.
         why: String,
     },
-    /// The source could not attach.
+    /// The source could not attach to a node.
     Failed {
-        /// The endpoint and the reason, as text for people.
+        /// The node's address and the reason, as text for people.
         why: String,
     },
-    /// The source ends, because its socket is gone.
+    /// The source ends, because the node's socket is gone.
     Left,
-    /// A socket was left behind by a node that no longer runs: the node was killed.
+    /// There is a socket of a node that does not run any more: the node was killed.
     Stale {
         /// The cell's name as encoded in a file name.
         cell: String,
@@ -62,18 +62,18 @@ pub enum Feed {
     },
 }
 
-/// A message from a source, with its arrival.
+/// A message from a source, with the moment of its arrival.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Arrival {
-    /// The moment of arrival.
+    /// The moment at which the message arrived.
     pub at: Moment,
-    /// The source.
+    /// The source that sent the message.
     pub source: SourceId,
-    /// The message.
+    /// The message that arrived.
     pub feed: Feed,
 }
 
-/// The receiver of what sources deliver.
+/// The receiver of the messages that sources deliver.
 #[derive(Clone)]
 pub struct Sink {
     clock: Clock,
@@ -81,7 +81,7 @@ pub struct Sink {
 }
 
 impl Sink {
-    /// A sink that passes everything to `take`. It may block, and returns whether it wants more.
+    /// Makes a sink that passes every message to `take`. `take` may block, and returns whether it wants more messages.
     pub fn new(clock: Clock, take: impl Fn(Arrival) -> bool + Send + Sync + 'static) -> Self {
         Self { clock, take: Arc::new(take) }
     }
@@ -92,7 +92,8 @@ impl Sink {
         self.clock.now()
     }
 
-    /// Passes `feed` on with the present moment. Returns false if no more is wanted, so that the source may end.
+    /// Passes `feed` on with the present moment. Returns false if the receiver wants no more messages, so that the
+    /// source may end.
     #[must_use]
     pub fn deliver(&self, source: SourceId, feed: Feed) -> bool {
         (self.take)(Arrival { at: self.clock.now(), source, feed })
@@ -101,10 +102,10 @@ impl Sink {
 
 /// A source of data for a monitor.
 pub trait Source {
-    /// Starts to feed `sink` from its own threads, until the sink wants no more or the source is dropped.
+    /// Starts to feed `sink` from threads of its own, until the sink wants no more messages or the source is dropped.
     ///
     /// # Errors
-    /// If it cannot start.
+    /// An error if the source cannot start.
     fn start(&mut self, sink: Sink) -> Result<(), MonitorError>;
 }
 

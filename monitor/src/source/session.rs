@@ -1,4 +1,4 @@
-//! One connection to one node, from connecting to its end.
+//! One connection of the monitor to one node, from connecting to its end.
 
 #[cfg(test)]
 mod tests;
@@ -20,9 +20,9 @@ use std::time::{Duration, Instant};
 /// The first minor version in which a monitor proves that it has the token.
 const PROOFS: u16 = 3;
 
-/// How long a node has to answer a hello: on a busy machine its thread for monitors runs last.
+/// How long a node may take to answer a hello: on a busy machine its thread for monitors runs last.
 const PATIENCE: Duration = Duration::from_secs(3);
-/// How often a waiting session checks whether to stop, and for new wishes.
+/// How often a waiting session checks whether the subscription has changed, and whether the session must stop.
 const LOOK: Duration = Duration::from_millis(100);
 /// How many frames a node may send without new credit.
 const CREDIT: u16 = 8;
@@ -31,13 +31,13 @@ const PING: Duration = Duration::from_secs(1);
 /// How often a node sends metrics of its process.
 const VITALS: Duration = Duration::from_secs(1);
 
-/// The part of a subscription that does not depend on the screen.
+/// The part of a subscription that is the same on all screens.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pace {
     pub period: Duration,
 }
 
-/// What a session needs besides its connection.
+/// The data that a session needs besides its connection.
 pub(super) struct Talk<'a> {
     pub id: SourceId,
     pub pace: Pace,
@@ -45,20 +45,20 @@ pub(super) struct Talk<'a> {
     pub token: Option<&'a Token>,
     pub sink: &'a Sink,
     pub stop: &'a AtomicBool,
-    /// Receives the node's identity and the addresses that it reports for other nodes.
+    /// A callback that receives the node's identity, and the addresses that the node reports for other nodes.
     pub told: &'a dyn Fn(&NodeIdentity, &Places),
 }
 
 /// How a session ended.
 #[derive(Debug)]
 pub(super) enum End {
-    /// The monitor told it to stop.
+    /// The monitor told the session to stop.
     Stopped,
-    /// No process listens at the endpoint.
+    /// No process listens at the node's address.
     Refused(String),
-    /// It never attached.
+    /// The session never attached to the node.
     Failed(String),
-    /// It lost its connection after attaching.
+    /// The session lost its connection after attaching.
     Lost(String),
 }
 
@@ -120,8 +120,8 @@ fn talk(endpoint: &Endpoint, with: &Talk<'_>, reader: impl Read, writer: impl Wr
         Some(_) => End::Failed(format!("{endpoint}: {why}")),
         None => End::Lost(why.to_string()),
     };
-    // A node that requires a token sends a challenge first, and nothing more before the proof. A node that cannot do so gets no
-    // token: anyone could answer in its place.
+    // A node that requires a token first sends a challenge, and no other frame before the proof. A node of a version
+    // without challenges gets no token, because any process could take the node's place and read it.
     if (with.token.is_none() || version.minor < PROOFS)
         && let Err(error) = session.begin()
     {
@@ -147,7 +147,7 @@ fn talk(endpoint: &Endpoint, with: &Talk<'_>, reader: impl Read, writer: impl Wr
                 Err(error) => return ended(&attached, &error),
             },
             Ok(frame) => frame,
-            // The node should not have sent a frame of a later minor version, but it can be skipped.
+            // The node should not have sent a frame of a later minor version, but such a frame can be skipped.
             Err(DecodeError::UnknownKind(_)) => continue,
             Err(error) => return ended(&attached, &format!("it sent {error}")),
         };
@@ -169,23 +169,23 @@ fn talk(endpoint: &Endpoint, with: &Talk<'_>, reader: impl Read, writer: impl Wr
     }
 }
 
-/// An attached connection.
+/// A connection that is attached to a node.
 struct Session<'a, W> {
     with: &'a Talk<'a>,
     identity: NodeIdentity,
     writer: FrameWriter<W>,
     /// Whether the node speaks version 1.1.
     new: bool,
-    /// Whether the node was told what the monitor wants.
+    /// Whether the node has been told what the monitor wants.
     begun: bool,
-    /// Frames received for which no credit was returned yet.
+    /// How many frames were received for which no credit was returned yet.
     owed: u16,
-    /// The versions of the wishes that were sent to the node.
+    /// The versions of the subscription that were sent to the node.
     known: (u64, u64),
     /// The node's clock at the snapshot to which the next delta applies.
     told: Option<u64>,
     ping_at: Instant,
-    /// The node no longer reads. The frames that it had sent are still to be read.
+    /// Whether the node no longer reads. The frames that it had sent before are still to be read.
     deaf: bool,
 }
 
@@ -219,7 +219,7 @@ impl<'a, W: Write> Session<'a, W> {
         }
     }
 
-    /// Proves that this monitor has the token. Without a token it says nothing: the node denies access then.
+    /// Proves to the node that this monitor has the token. Without a token it sends nothing, and the node then denies access.
     fn prove(&mut self, challenge: &Challenge) -> Result<(), FrameError> {
         let Some(token) = self.with.token.filter(|_| !self.begun) else { return Ok(()) };
         self.say(&ClientFrame::Proof(token.proof(challenge)))?;
@@ -262,7 +262,7 @@ impl<'a, W: Write> Session<'a, W> {
         self.say(&ClientFrame::Want(want))
     }
 
-    /// Sends changed wishes, and a ping when due.
+    /// Sends the subscription if it has changed, and a ping when one is due.
     fn keep_up(&mut self) -> Result<(), FrameError> {
         if !self.new || !self.begun {
             return Ok(());
@@ -283,7 +283,7 @@ impl<'a, W: Write> Session<'a, W> {
         Ok(())
     }
 
-    /// Passes a frame on. Returns false if no more is wanted.
+    /// Passes a frame on. Returns false if the receiver wants no more frames.
     fn take(&mut self, frame: ServerFrame) -> Result<bool, FrameError> {
         self.owed += u16::from(frame.costs());
         let mut fits = true;
@@ -312,7 +312,7 @@ fn micros(length: Duration) -> u32 {
     u32::try_from(length.as_micros()).unwrap_or(u32::MAX)
 }
 
-/// The handshake. Returns `None` if told to stop.
+/// Exchanges the handshake. Returns `None` if the session must stop.
 fn greet(
     reader: &mut FrameReader<impl Read>,
     writer: &mut FrameWriter<impl Write>,

@@ -1,20 +1,21 @@
-//! The subscription that the screen needs. The drawing thread hands it to the connection threads without waiting.
+//! The subscription that the screen needs (its wishes). The drawing thread hands it to the connection threads without
+//! waiting.
 
 use imrs_protocol::{NodeId, PortId, TaskId};
 use imrs_wire::obs::EventFilter;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// A subscription for all nodes.
+/// A subscription for all nodes of a cell.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Wanted {
-    /// The watched ports of the shown cell: the node sends their queues with the history of each message.
+    /// The watched ports of the shown cell. For these ports, the node sends the queues with the history of each message.
     pub watched: Vec<(NodeId, TaskId, PortId)>,
-    /// The cell of the watched ports; `None` for any.
+    /// The cell of the watched ports; `None` if any cell is meant.
     pub cell: Option<String>,
-    /// How many queued messages of each other port are listed; at most 64.
+    /// How many queued messages the node lists of each other port; at most 64.
     pub queue_limit: u8,
-    /// The selected events; `None` for none.
+    /// Which events the node sends; `None` for none.
     pub events: Option<EventFilter>,
 }
 
@@ -24,16 +25,16 @@ impl Default for Wanted {
     }
 }
 
-/// The wishes of one monitor, shared by the drawing thread and the connection threads.
+/// The subscription of one monitor, shared by the drawing thread and the connection threads.
 #[derive(Clone, Debug, Default)]
 pub struct Wishes(Arc<Shared>);
 
 #[derive(Debug, Default)]
 struct Shared {
     wanted: Mutex<Wanted>,
-    /// Changes with `wanted`.
+    /// A number that changes whenever `wanted` changes.
     version: AtomicU64,
-    /// Changes with each wish for whole snapshots.
+    /// A number that changes whenever whole snapshots are wanted.
     whole: AtomicU64,
 }
 

@@ -14,12 +14,12 @@ use std::time::Duration;
 
 /// The time between two frames.
 const FRAME: Duration = Duration::from_millis(33);
-/// How many nodes send something between two frames.
+/// How many nodes send frames between two drawn frames.
 const TELL: u64 = 10;
-/// One in this many ports of those nodes changed: 5 %.
+/// Of this many ports of a node that sends a frame, one has changed since the node's previous frame: 5 %.
 const APART: usize = 20;
 
-/// The app, the last state of its nodes, and the two buffers that a terminal compares.
+/// A screen: the app, the last state of its nodes, and the two buffers whose difference a terminal gets.
 pub struct Shown {
     app: App,
     cell: Specimen,
@@ -31,7 +31,7 @@ pub struct Shown {
 }
 
 impl Shown {
-    /// A terminal of this size, after these keys were pressed; `\n` is Enter.
+    /// The screen of a terminal of this size, after these keys were pressed; `\n` is Enter.
     #[must_use]
     pub fn new(cell: Specimen, (width, height): (u16, u16), keys: &str) -> Self {
         let now = Duration::from_secs(1);
@@ -50,7 +50,7 @@ impl Shown {
         Self { app, cell, states, now, frames: 0, shown: drawn.clone(), drawn }
     }
 
-    /// Advances by one frame: some nodes, in rotation, send a snapshot and events.
+    /// Advances by one frame: some of the nodes, in rotation, send a snapshot and events.
     pub fn go_on(&mut self) {
         self.now += FRAME;
         for turn in 0..TELL.min(self.cell.nodes.into()) {
@@ -66,7 +66,7 @@ impl Shown {
         self.frames += 1;
     }
 
-    /// Draws a frame. Returns how many screen cells differ from the previous one.
+    /// Draws a frame. Returns how many screen cells differ from the previous frame.
     pub fn draw(&mut self) -> usize {
         self.drawn.reset();
         show(&mut self.app, self.now, &mut self.drawn);
@@ -76,7 +76,7 @@ impl Shown {
     }
 }
 
-/// Removes expired messages.
+/// Removes expired messages from a state.
 fn drop_expired(state: &mut Snapshot) {
     for port in state.tasks.iter_mut().flat_map(|task| &mut task.view.ports) {
         if port.len == 0 || port.min_slack == Some(Ticks::ZERO) {

@@ -1,5 +1,5 @@
-//! What blocks a cell: the awaited tasks, the wait-for cycles and the dead nodes, most severe first. It also tells which
-//! findings are only consequences of a block.
+//! What blocks a cell: the tasks for which others wait, the wait-for cycles and the dead nodes, most severe first. Also
+//! says which findings are only consequences of a block.
 
 use super::cuts::cuts;
 use super::health::{Finding, Place};
@@ -14,22 +14,22 @@ use imrs_protocol::{NodeId, PortId, TaskId};
 use imrs_wire::obs::Liveness;
 use std::time::Duration;
 
-/// A shorter wait is no block. Without this bound the banner would flicker with every message.
+/// A wait that is shorter than this is no block. Without this bound the banner would flicker with every message.
 const SETTLED: Duration = Duration::from_millis(500);
-/// With fewer complete rounds a rendezvous has no usual time.
+/// If a rendezvous has fewer complete rounds than this, it has no usual time.
 const A_RULE: usize = 5;
-/// What follows from a block, if it is found at a task that waits.
+/// The codes of findings that follow from a block, if they concern a task that waits.
 const CONSEQUENCES: &[&str] =
     &["rendezvous-lost-member", "rendezvous-stuck", "within-margin", "time-outs", "deadline-risk", "expired"];
 
 /// The kind of a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Tasks wait for these ones.
+    /// Other tasks wait for the tasks of this block.
     Awaited,
-    /// Tasks wait for each other.
+    /// The tasks of this block wait for each other.
     Cycle,
-    /// A node or a task is gone, and no task waits for it at the moment.
+    /// A node or a task has ended, and no task waits for it at present.
     Lost,
     /// What a node sends does not arrive at another one.
     Cut,
@@ -38,49 +38,49 @@ pub enum Kind {
 /// A block: the tasks that cause it, and the tasks that it holds.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Blocker {
-    /// Its kind.
+    /// The kind of the block.
     pub kind: Kind,
-    /// Its severity. [`Severity::Note`]: a wait that is not longer than usual.
+    /// The severity of the block. [`Severity::Note`] means that the wait is not longer than usual.
     pub level: Severity,
-    /// The tasks that cause it. Several if the same tasks wait for each of them.
+    /// The tasks that cause the block. There are several if the same tasks wait for each of them.
     pub tasks: Vec<TaskId>,
-    /// Where the first of them is.
+    /// The place of the first of the tasks that cause the block.
     pub place: Place,
-    /// Their names: `belt@nd`, or of a lost node `nd`.
+    /// The names of the tasks that cause the block: `belt@nd`; for a dead node its name: `nd`.
     pub name: String,
-    /// What the first of them does: `DEAD 9s`, `receive halt`.
+    /// What the first task that causes the block does: `DEAD 9s`, `receive halt`.
     pub state: String,
-    /// The tasks that wait, directly or indirectly, ascending.
+    /// The tasks that wait for the cause, directly or indirectly, ascending.
     pub by: Vec<TaskId>,
     /// The kind of the longest wait: `waitfor lift`.
     pub why: String,
     /// The length of the longest wait, in microseconds.
     pub waited_us: Option<u64>,
-    /// The 99th percentile of the time that such a wait takes, in microseconds.
+    /// The 99th percentile of the time that a wait of this kind takes, in microseconds.
     pub usual_us: Option<u64>,
 }
 
 impl Blocker {
-    /// Whether it is more than a usual wait.
+    /// Whether the block is worse than a usual wait.
     #[must_use]
     pub fn is_alarming(&self) -> bool {
         self.level >= Severity::Warn
     }
 
-    /// Whether a place contains its cause.
+    /// Whether the cause of the block is within this place.
     #[must_use]
     pub fn is_within(&self, place: &Place) -> bool {
         place.holds(&self.place)
     }
 
-    /// Whether it holds the task of a place.
+    /// Whether the block holds the task of this place.
     #[must_use]
     pub fn holds(&self, place: &Place) -> bool {
         matches!(self.kind, Kind::Awaited | Kind::Cut)
             && place.task.is_some_and(|task| self.by.contains(&task))
     }
 
-    /// Whether a finding is only a consequence of it.
+    /// Whether a finding is only a consequence of this block.
     #[must_use]
     pub fn explains(&self, finding: &Finding) -> bool {
         let follows =
@@ -97,7 +97,7 @@ pub fn blockers(store: &Store, cell: &Name, now: Moment) -> Vec<Blocker> {
     let mut found: Vec<Blocker> =
         cycles(store, cell, now).into_iter().filter_map(|cycle| look.cycle(&cycle.tasks)).collect();
     let mut all = awaited(store, cell, now);
-    // The same tasks may wait for several ones. If one of those is gone, it is the cause.
+    // The same tasks may wait for several tasks. If one of these has ended, it is the cause.
     all.sort_by_key(|one| (std::cmp::Reverse(look.is_gone(one.task)), std::cmp::Reverse(one.by.len())));
     while !all.is_empty() {
         let first = all.remove(0);
@@ -150,7 +150,7 @@ impl Look<'_> {
             || incarnation.task(task).is_some_and(|task| task.liveness != Liveness::Alive)
     }
 
-    /// Whether a node that was never seen left its socket behind.
+    /// Whether a node that the monitor has never seen left its socket behind.
     fn is_killed(&self, node: NodeId) -> bool {
         super::is_killed(self.store, self.cell, &self.names.node(node))
     }
@@ -239,7 +239,7 @@ impl Look<'_> {
         self.place(self.names.home(task).unwrap_or_default(), Some(task))
     }
 
-    /// The 99th percentile of the time in which a rendezvous gathers.
+    /// The 99th percentile of the time that a rendezvous takes to gather all members.
     fn usual(&self, port: PortId) -> Option<u64> {
         let members = self.names.port(port)?.parties.len();
         let told = history(self.store, self.cell, port)?.summary(members);
@@ -263,7 +263,7 @@ impl Look<'_> {
         })
     }
 
-    /// The dead nodes and panicked tasks that are not among `found`.
+    /// The dead nodes and crashed tasks that are not among the blocks in `found`.
     fn lost(&self, found: &[Blocker]) -> Vec<Blocker> {
         let mut lost = Vec::new();
         let is_named = |place: &Place| {

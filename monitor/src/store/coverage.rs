@@ -1,4 +1,4 @@
-//! Coverage: which transitions of the state machine were observed, out of all that exist.
+//! Coverage: which transitions of the state machine the monitor has observed, out of all that exist.
 
 use imrs_protocol::{Class, Event, Reason, TaskView, Usage};
 
@@ -55,7 +55,7 @@ pub fn place(event: Event) -> usize {
     KINDS.iter().position(|kind| *kind == event).unwrap_or(0)
 }
 
-/// The kinds of messaging that a task's ports allow.
+/// Which kinds of messages a task's ports allow.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Abilities {
     receives: bool,
@@ -66,7 +66,7 @@ pub struct Abilities {
 }
 
 impl Abilities {
-    /// The abilities of a task.
+    /// The abilities that a task has by its ports.
     #[must_use]
     pub fn of(task: &TaskView) -> Self {
         let mut all = Self { meets: !task.meetings.is_empty(), ..Self::default() };

@@ -1,8 +1,8 @@
-//! The earlier incarnations of a node: which are kept, and how many have died.
+//! The earlier incarnations of a node: which of them the store keeps, and how many have died.
 
 use super::{Condition, NodeIncarnation, Store};
 
-/// How many earlier incarnations of a node are kept beside the latest one.
+/// How many earlier incarnations of a node the store keeps besides the latest one.
 const EARLIER_INCARNATIONS: usize = 3;
 
 impl Store {
@@ -20,7 +20,7 @@ impl Store {
             .fold(incarnation.buried, u32::saturating_add)
     }
 
-    /// Drops the earliest ended incarnations of nodes that have had many. Their successor remembers the deaths.
+    /// Drops the earliest ended incarnations of nodes that have had many. The next incarnation keeps the number of deaths.
     pub(super) fn forget_early_incarnations(&mut self) {
         let is_same =
             |a: &NodeIncarnation, b: &NodeIncarnation| a.names.cell == b.names.cell && a.node == b.node;

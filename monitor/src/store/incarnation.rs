@@ -17,7 +17,7 @@ use std::time::Duration;
 
 /// A node that has sent nothing for this long is shown as silent.
 pub const SILENT: Duration = Duration::from_secs(1);
-/// A remaining time from a sample older than this is shown as an estimate.
+/// A remaining time from a sample older than this is shown as an estimate only.
 const FRESH: Duration = Duration::from_millis(200);
 /// The shortest interval over which rates are computed.
 pub(super) const RATE: Duration = Duration::from_secs(2);
@@ -25,69 +25,69 @@ pub(super) const RATE: Duration = Duration::from_secs(2);
 /// The interval over which the monitor judges whether timers are usually late.
 const LATELY: Duration = Duration::from_secs(3);
 
-/// How many timers of a node are remembered.
+/// How many timers of a node are kept, at most.
 const TIMERS: usize = 1024;
 
-/// Identifies an incarnation of a node as long as the monitor runs.
+/// Identifies an incarnation of a node for as long as the monitor runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct IncarnationId(pub u32);
 
 /// Whether the monitor is attached to a node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Condition {
-    /// The monitor is attached to it.
+    /// The monitor is attached to the node.
     Attached,
     /// The connection ended without a goodbye.
     Dead {
-        /// The moment.
+        /// The moment at which the connection ended.
         since: Moment,
-        /// How the monitor noticed it.
+        /// How the monitor noticed the end.
         why: String,
     },
     /// The node announced that it stops.
     Stopped {
-        /// The moment.
+        /// The moment of the announcement.
         since: Moment,
     },
 }
 
-/// A snapshot and its arrival.
+/// A snapshot, with the moment of its arrival.
 #[derive(Clone, Debug)]
 pub struct Sample {
-    /// The moment of arrival.
+    /// The moment at which the snapshot arrived.
     pub at: Moment,
-    /// The snapshot.
+    /// The snapshot that arrived.
     pub snapshot: Arc<Snapshot>,
 }
 
-/// A message from a node, with its arrival.
+/// A message from a node, with the moment of its arrival.
 #[derive(Clone, Debug)]
 pub struct Received<T> {
-    /// The moment of arrival.
+    /// The moment at which the message arrived.
     pub at: Moment,
-    /// The message.
+    /// The message that arrived.
     pub what: T,
 }
 
-/// A watched queue.
+/// The queue of a watched port.
 #[derive(Clone, Debug)]
 pub struct Watched {
-    /// The task that receives.
+    /// The task that receives through the port.
     pub task: TaskId,
-    /// The port.
+    /// The watched port.
     pub port: PortId,
-    /// The age of its remaining times on arrival, in microseconds.
+    /// The age of the remaining times in `queue` on arrival, in microseconds.
     pub age_us: u64,
-    /// Its queued messages, and what they have been through.
+    /// The queued messages of the port, with the history of each.
     pub queue: QueueView,
 }
 
 /// The offset between a node's clock and the monitor's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ClockOffset {
-    /// The node's clock when the monitor's was zero, in microseconds.
+    /// The time of the node's clock when the monitor's clock was zero, in microseconds.
     pub us: i64,
-    /// The largest error: half the round trip.
+    /// The largest possible error: half the round trip.
     pub error_us: u64,
     /// The moment of the comparison.
     pub at: Moment,
@@ -96,13 +96,13 @@ pub struct ClockOffset {
 /// Counts of ended timers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Ended {
-    /// How many.
+    /// How many timers ended.
     pub count: u64,
     /// How many of them ended later than the tick.
     pub late: u64,
 }
 
-/// The features of a state that are compared with the next state.
+/// The features of a node's state that are compared with the next state.
 pub(super) struct Notable {
     pub tasks: Vec<(TaskId, Liveness)>,
     pub link_discards: Vec<Count>,
@@ -118,62 +118,62 @@ pub(super) fn port_of(task: &TaskSnapshot, id: PortId) -> Option<&PortView> {
 /// One incarnation of a node.
 #[derive(Clone, Debug)]
 pub struct NodeIncarnation {
-    /// Its identifier.
+    /// The identifier of the incarnation.
     pub id: IncarnationId,
     /// The node's name.
     pub node: Name,
-    /// The node's index in the cell.
+    /// The node's position in the cell's list of nodes.
     pub node_id: NodeId,
     /// The incarnation number that the node reports.
     pub number: u8,
-    /// Its process id.
+    /// The id of the node's process.
     pub pid: u32,
-    /// Its program and version.
+    /// The program and version of the node's process.
     pub build: Name,
-    /// The digest of its cell.
+    /// The digest of the node's cell.
     pub digest: u32,
-    /// Microseconds per tick.
+    /// Microseconds per tick of the node's remaining times.
     pub tick_us: u64,
-    /// Whether the monitor is attached to it.
+    /// Whether the monitor is attached to the node.
     pub condition: Condition,
-    /// The moment of its last frame.
+    /// The moment at which the node's last frame arrived.
     pub heard: Moment,
     /// When its frames began again: when it was attached, or after the last silence.
     pub(super) resumed: Moment,
     /// The names of its cell.
     pub names: Arc<Names>,
-    /// Its last state.
+    /// The last state of the node.
     pub last: Option<Sample>,
-    /// Its state some seconds ago, as the baseline of rates and growth.
+    /// The state of the node some seconds ago, with which rates and growth are computed.
     pub base: Option<Sample>,
-    /// The next `base`.
+    /// The state that will be the next `base`.
     pub(super) next_base: Option<Sample>,
-    /// Events that the node could not keep for this monitor.
+    /// How many events the node could not keep for this monitor.
     pub lost: u64,
     /// The value of `lost` at `base` and at `next_base`.
     pub(super) lost_before: (u64, u64),
     /// The longest remaining time ever seen of each timer, because a node does not report the armed duration.
     pub(super) longest: BTreeMap<(TaskId, TimeId), Ticks>,
-    /// Metrics of its process; `None` until it reports any.
+    /// The metrics of the node's process; `None` until the node reports any.
     pub vitals: Option<Received<Vitals>>,
-    /// Its last report of held-back scripts.
+    /// The node's last report of held-back scripts.
     pub(super) held_back: Option<Received<HeldBack>>,
-    /// Its reports of ended and late timers within the last seconds.
+    /// The node's reports of ended and late timers within the last seconds.
     pub(super) timers: VecDeque<Received<Ended>>,
-    /// Its watched queues.
+    /// The watched queues of the node.
     pub watched: Vec<Received<Watched>>,
-    /// Its clock offset at the last comparison.
+    /// The offset of the node's clock at the last comparison.
     pub clock: Option<ClockOffset>,
-    /// Cached findings of its tasks, valid until its next frame.
+    /// The cached findings of the node's tasks, valid until its next frame.
     pub(super) looked: Looked,
-    /// Its last seconds.
+    /// The traffic and the counters of the node's last seconds.
     pub recent: Recent,
-    /// How many of its predecessors that are no longer kept have died.
+    /// How many earlier incarnations of the node have died and are no longer kept.
     pub(super) buried: u32,
 }
 
 impl NodeIncarnation {
-    /// Its presence at `now`.
+    /// The presence of the node at `now`.
     #[must_use]
     pub fn presence(&self, now: Moment) -> Presence {
         let ago = |since: Moment| now.saturating_sub(since);
@@ -185,25 +185,25 @@ impl NodeIncarnation {
         }
     }
 
-    /// Its tasks in the last state.
+    /// The node's tasks in its last state.
     #[must_use]
     pub fn tasks(&self) -> &[TaskSnapshot] {
         self.last.as_ref().map_or(&[], |s| &s.snapshot.tasks)
     }
 
-    /// One of its tasks.
+    /// One of the node's tasks.
     #[must_use]
     pub fn task(&self, id: TaskId) -> Option<&TaskSnapshot> {
         self.tasks().iter().find(|t| t.view.task == id)
     }
 
-    /// One port of one of its tasks.
+    /// One port of one of the node's tasks.
     #[must_use]
     pub fn port(&self, task: TaskId, port: PortId) -> Option<&PortView> {
         port_of(self.task(task)?, port)
     }
 
-    /// The remaining time at `now`. It was `remaining` when its task last advanced, `age_us` before the snapshot. An ended node's stays.
+    /// The remaining time at `now`; `age_us` before the last snapshot it was `remaining`. For an ended node it stays the same.
     #[must_use]
     pub fn left(&self, remaining: Ticks, age_us: u64, now: Moment) -> Left {
         let now = match &self.condition {
@@ -216,13 +216,13 @@ impl NodeIncarnation {
         Left { us, estimated: since > FRESH }
     }
 
-    /// The remaining time in microseconds at the snapshot, which was `age_us` after its task last advanced.
+    /// The remaining time at the snapshot, in microseconds. The snapshot was taken `age_us` after the task last advanced.
     #[must_use]
     pub const fn left_when_seen(&self, remaining: Ticks, age_us: u64) -> u64 {
         remaining.0.saturating_mul(self.tick_us).saturating_sub(age_us)
     }
 
-    /// The recent rate at a port: messages per second that its task sent and took.
+    /// The recent rate at a port: how many messages per second the task sent and took.
     #[must_use]
     pub fn rate(&self, task: TaskId, port: PortId) -> Option<f64> {
         let task = self.task(task)?;
@@ -230,13 +230,13 @@ impl NodeIncarnation {
         self.rate_of(self.earlier(task), port)
     }
 
-    /// The task's snapshot of some seconds ago, with which rates compare its counters.
+    /// The task's state some seconds ago, with which its rates are computed.
     #[must_use]
     pub fn earlier(&self, task: &TaskSnapshot) -> Option<&TaskSnapshot> {
         self.base.as_ref()?.snapshot.tasks.iter().find(|t| t.view.task == task.view.task)
     }
 
-    /// The rate at a port since `earlier`, the older snapshot of its task: messages per second that the task sent and took.
+    /// The rate at a port since `earlier`, the older state of its task: how many messages per second the task sent and took.
     #[must_use]
     pub fn rate_of(&self, earlier: Option<&TaskSnapshot>, port: &PortView) -> Option<f64> {
         let (last, base) = (self.last.as_ref()?, self.base.as_ref()?);
@@ -248,7 +248,7 @@ impl NodeIncarnation {
         (seconds > 0.0).then(|| grown as f64 / seconds)
     }
 
-    /// Events that the node could not keep for this monitor, recently.
+    /// How many events the node could not keep for this monitor recently.
     #[must_use]
     pub const fn lost_lately(&self) -> u64 {
         self.lost.saturating_sub(self.lost_before.0)
@@ -260,7 +260,7 @@ impl NodeIncarnation {
         self.longest.get(&(task, id)).map(|ticks| ticks.0.saturating_mul(self.tick_us))
     }
 
-    /// A watched queue with the history of each message, if the node reported it.
+    /// The queue of a watched port with the history of each message, if the node has reported it.
     #[must_use]
     pub fn watched(&self, task: TaskId, port: PortId) -> Option<&Received<Watched>> {
         self.watched.iter().find(|told| (told.what.task, told.what.port) == (task, port))
@@ -295,7 +295,7 @@ impl NodeIncarnation {
         self.held_back(now).find(|(held, _)| *held == task).map(|(_, us)| us)
     }
 
-    /// Approximate memory of its states, in bytes.
+    /// The approximate memory of the states in this value, in bytes.
     pub(super) fn weight(&self) -> usize {
         let samples = [&self.last, &self.base, &self.next_base];
         let port = |port: &PortView| size_of::<PortView>() + size_of_val(port.queue.as_slice());
@@ -303,11 +303,11 @@ impl NodeIncarnation {
             let ports = sample.snapshot.tasks.iter().flat_map(|task| &task.view.ports);
             ports.map(port).sum::<usize>() + size_of_val(sample.snapshot.tasks.as_slice())
         };
-        // A sample that is kept twice is counted twice.
+        // A state that is kept twice is counted twice.
         samples.into_iter().flatten().map(tasks).sum::<usize>() + self.recent.weight()
     }
 
-    /// The features to compare with the next state.
+    /// The features that are compared with the next state.
     pub(super) fn notable(&self) -> Option<Notable> {
         let snapshot = &self.last.as_ref()?.snapshot;
         let tasks = snapshot.tasks.iter().map(|task| (task.view.task, task.liveness)).collect();
@@ -325,7 +325,7 @@ impl NodeIncarnation {
             return fits;
         }
         let Some(last) = &mut self.last else { return false };
-        // Check the base before `make_mut` copies a shared snapshot.
+        // The base is checked before `make_mut` copies a shared snapshot.
         if delta.base_us != Some(last.snapshot.mono_us)
             || Arc::make_mut(&mut last.snapshot).apply(delta).is_err()
         {
@@ -336,11 +336,11 @@ impl NodeIncarnation {
         true
     }
 
-    /// Stores the metrics of its process.
+    /// Stores the metrics of the node's process.
     pub(super) fn feel(&mut self, at: Moment, vitals: Vitals) {
         let Lateness { count, late, .. } = vitals.timer;
         self.timers.push_back(Received { at, what: Ended { count, late } });
-        // Keep one report from before the interval as its start.
+        // One report from before the interval stays, as the start of the interval.
         while self.timers.get(1).is_some_and(|next| at.saturating_sub(next.at) >= LATELY) {
             self.timers.pop_front();
         }
@@ -370,7 +370,7 @@ impl NodeIncarnation {
         self.clock = Some(ClockOffset { us, error_us: trip.div_ceil(2), at });
     }
 
-    /// Stores a snapshot. Rates compare it with one that is [`RATE`] to twice [`RATE`] older.
+    /// Stores a snapshot. Rates compare it with a snapshot that is between [`RATE`] and twice [`RATE`] older.
     pub(super) fn take(&mut self, at: Moment, snapshot: Snapshot) {
         self.last = Some(Sample { at, snapshot: Arc::new(snapshot) });
         self.sampled(at);
@@ -387,7 +387,7 @@ impl NodeIncarnation {
         }
     }
 
-    /// Handles a new `last`: makes it the next `base` when due.
+    /// Handles a new state in `last`: it becomes the next `base` when that is due.
     fn sampled(&mut self, at: Moment) {
         self.note_timers();
         if let Some(last) = &self.last {

@@ -1,5 +1,5 @@
-//! The journal: an event log in bounded memory, newest entry last. Events that repeat within a window share one entry, so
-//! that a flood does not push what else happened off the screen.
+//! The journal: an event log in bounded memory, newest entry last. Events that repeat within a window share one entry,
+//! so that a flood does not push other events off the screen.
 
 use super::NodeIncarnation;
 use super::names::Names;
@@ -11,11 +11,11 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// How many entries are kept of each of the three kinds.
+/// How many entries of each of the three kinds the journal keeps.
 pub const KEPT: usize = 4096;
-/// A notable event that repeats within this time of its last occurrence shares the entry.
+/// A notable event that repeats within this time of its last occurrence shares that occurrence's entry.
 pub const WINDOW: Duration = Duration::from_secs(10);
-/// How many of the latest entries are searched for one to share.
+/// How many of the latest entries are searched for an entry to share.
 const SEARCHED: usize = 64;
 
 /// The severity of an entry.
@@ -23,33 +23,33 @@ const SEARCHED: usize = 64;
 pub enum Severity {
     /// Routine traffic.
     Trace,
-    /// Worth an entry.
+    /// An event that is worth an entry.
     Note,
-    /// Something was lost or late.
+    /// A message or event was lost or late.
     Warn,
     /// A robot waits until its time_out, or a node or task died.
     Bad,
 }
 
-/// The event of an entry.
+/// The event of a journal entry.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum What {
-    /// A state machine observed it.
+    /// An event that a state machine observed.
     Observed {
-        /// The task; `None` for the transit buffer.
+        /// The task of the state machine; `None` for the transit buffer.
         task: Option<TaskId>,
         /// The observation.
         observation: Observation,
     },
-    /// The monitor noticed it.
+    /// An event that the monitor noticed.
     Noticed {
-        /// The severity.
+        /// The severity of the event.
         level: Severity,
-        /// The kind, in one word.
+        /// The kind of event, in one word.
         kind: &'static str,
-        /// The affected object.
+        /// The name of the affected node, task or link.
         object: String,
-        /// Details.
+        /// Details about the event, as text.
         detail: String,
     },
 }
@@ -57,19 +57,19 @@ pub enum What {
 /// An entry of the journal.
 #[derive(Clone, Debug)]
 pub struct Entry {
-    /// Its number among all entries; the journal assigns it.
+    /// The number of the entry among all entries; the journal assigns it.
     pub number: u64,
-    /// The moment of its first occurrence.
+    /// The moment of the event's first occurrence.
     pub first: Moment,
-    /// The moment of its last occurrence.
+    /// The moment of the event's last occurrence.
     pub at: Moment,
-    /// The node.
+    /// The node at which the event occurred.
     pub node: Name,
-    /// The names of its ids.
+    /// The names that belong to the ids in the event.
     pub names: Arc<Names>,
-    /// The event.
+    /// The event that the entry is about.
     pub what: What,
-    /// How often it occurred.
+    /// How often the event occurred.
     pub times: u64,
 }
 
@@ -81,7 +81,8 @@ impl Entry {
         Self { number: 0, first: at, at, node, names, what, times }
     }
 
-    /// How often it occurred, as text: empty for once, otherwise `x37`, and from one second on with the rate, `x37 12/s`.
+    /// How often the event occurred, as text: empty if once, otherwise `x37`; if the occurrences span a second or more,
+    /// with the rate, `x37 12/s`.
     #[must_use]
     pub fn count(&self) -> String {
         let seconds = self.at.saturating_sub(self.first).as_secs_f64();
@@ -95,7 +96,7 @@ impl Entry {
         }
     }
 
-    /// Its severity.
+    /// The severity of the event.
     #[must_use]
     pub const fn level(&self) -> Severity {
         match &self.what {
@@ -104,7 +105,7 @@ impl Entry {
         }
     }
 
-    /// The observation and its task; `None` for an entry that the monitor noticed.
+    /// The observation and its task; `None` for an event that the monitor noticed.
     #[must_use]
     pub const fn observed(&self) -> Option<(Option<TaskId>, &Observation)> {
         match &self.what {
@@ -113,7 +114,7 @@ impl Entry {
         }
     }
 
-    /// Its kind, in one word.
+    /// The kind of event, in one word.
     #[must_use]
     pub const fn kind(&self) -> &'static str {
         match &self.what {
@@ -122,7 +123,7 @@ impl Entry {
         }
     }
 
-    /// The affected object.
+    /// The name of the affected node, task or link.
     #[must_use]
     pub fn object(&self) -> String {
         match &self.what {
@@ -137,7 +138,7 @@ impl Entry {
         }
     }
 
-    /// The details.
+    /// Details about the event, as text.
     #[must_use]
     pub fn detail(&self) -> String {
         match &self.what {
@@ -180,8 +181,8 @@ impl Entry {
         same && self.node == other.node
     }
 
-    /// Whether it may share an entry. Observations of a task and losses may; an end or a start of a node or a task may not,
-    /// because their order matters.
+    /// Whether the event may share an entry. Observations of a task and losses may. The start or end of a node or task
+    /// may not, because their order matters.
     fn folds(&self) -> bool {
         matches!(&self.what, What::Observed { .. } | What::Noticed { kind: "discard" | "lost", .. })
     }
@@ -203,7 +204,7 @@ pub(crate) const fn level_of(event: Event) -> Severity {
         | Event::Rejected
         | Event::Granted => Severity::Trace,
         Event::Rejoined | Event::ReleasedComplete | Event::ReleasedByConfirm => Severity::Trace,
-        // The protocol repeats copies against losses, so dropping a duplicate is routine.
+        // Tasks send copies against losses, so dropping a duplicate is routine.
         Event::Discarded(Reason::Duplicate | Reason::OldRound | Reason::Superseded) => Severity::Trace,
         Event::Discarded(_) | Event::RefusedByPeer | Event::PartnerAborted | Event::WithinMargin => {
             Severity::Warn
@@ -247,20 +248,20 @@ pub(crate) const fn word(event: Event) -> &'static str {
     }
 }
 
-/// The event log. Critical entries, other notable ones and routine traffic have separate queues, so that none displaces a
-/// more severe one.
+/// The event log. Critical entries, other notable entries and routine traffic have separate queues, so that no entry
+/// displaces a more severe one.
 #[derive(Clone, Debug, Default)]
 pub struct Journal {
     bad: VecDeque<Entry>,
     notable: VecDeque<Entry>,
     trace: VecDeque<Entry>,
-    /// How many entries were ever added.
+    /// How many entries were added so far.
     ever: u64,
 }
 
 impl Journal {
-    /// Adds an entry, or raises the count of an earlier one that it repeats. Routine traffic repeats only the entry before
-    /// it, because there the sequence matters.
+    /// Adds an entry, or increases the count of an earlier entry that it repeats. Routine traffic can only repeat the
+    /// entry just before it, because its order matters.
     pub fn add(&mut self, entry: Entry) {
         let (lines, searched) = match entry.level() {
             Severity::Trace => (&mut self.trace, 1),
@@ -282,8 +283,8 @@ impl Journal {
         self.ever += 1;
     }
 
-    /// The entries that match `text` (a condition, or words), in the order of their first occurrence: only notable ones,
-    /// or `all`.
+    /// The entries that match `text` (a condition, or words), in the order of their first occurrence: all entries, or
+    /// only the notable ones.
     #[must_use]
     pub fn lines(&self, all: bool, text: &str) -> Vec<&Entry> {
         let now = [&self.bad, &self.notable, &self.trace].into_iter().flatten().map(|e| e.at).max();
@@ -304,7 +305,7 @@ impl Journal {
         lines
     }
 
-    /// Approximate memory of the entries, in bytes.
+    /// The approximate memory of the entries, in bytes.
     #[must_use]
     pub fn weight(&self) -> usize {
         (self.bad.len() + self.notable.len() + self.trace.len()) * size_of::<Entry>()

@@ -3,12 +3,12 @@
 use crate::clock::Span;
 use std::fmt;
 
-/// A remaining time, counted down since its sample.
+/// A remaining time, counted down from its sample to the present.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Left {
-    /// Microseconds; zero if it has probably ended.
+    /// The remaining time in microseconds; zero if it has probably ended.
     pub us: u64,
-    /// Whether the sample is old, so that the value may be wrong.
+    /// Whether the sample is old, so that the remaining time may be wrong.
     pub estimated: bool,
 }
 

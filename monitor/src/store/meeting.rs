@@ -8,60 +8,61 @@ use crate::name::Name;
 use imrs_protocol::{MeetingState, MeetingView, PortId, Round, TaskId, TaskState};
 use imrs_wire::obs::Liveness;
 
-/// The state of a member in the shown round.
+/// The state of a member in the round that is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standing {
-    /// It waits in the shown round.
+    /// The member waits in the shown round.
     Arrived,
-    /// It was released from the shown round, while others still wait in it.
+    /// The member was released from the shown round, while other members still wait in it.
     Released,
-    /// It has not arrived.
+    /// The member has not arrived.
     Missing,
-    /// Not known: no attached node knows it.
+    /// The state of the member is not known, because no attached node knows it.
     Unknown,
 }
 
 /// A member of a rendezvous.
 #[derive(Clone, Debug)]
 pub struct Member {
-    /// The task.
+    /// The task that is the member.
     pub task: TaskId,
-    /// Its name.
+    /// The name of the task.
     pub name: Name,
-    /// The name of its node.
+    /// The name of the task's node.
     pub node: Name,
-    /// The presence of its node; `None` if never seen.
+    /// The presence of the task's node; `None` if the monitor has never seen the node.
     pub presence: Option<Presence>,
-    /// Its activity if it has not arrived, or that it or its node is dead.
+    /// What the task does if it has not arrived, or that the task or its node is dead.
     pub doing: String,
-    /// Its state in the shown round.
+    /// The state of the member in the shown round.
     pub standing: Standing,
-    /// Its remaining patience, if it waits.
+    /// The remaining patience of the member, if it waits.
     pub left: Option<Left>,
-    /// How long it has waited, in microseconds.
+    /// How long the member has waited, in microseconds.
     pub waited_us: Option<u64>,
-    /// Whether too little time remains for it to release by itself.
+    /// Whether the member has too little time left to be released by itself.
     pub within_margin: bool,
-    /// For each member, whether this one knows of its arrival; `None` if unknown or not in this round.
+    /// For each member, whether this member knows of its arrival; `None` if that is unknown, or this member is not in
+    /// the round.
     pub knows: Vec<Option<bool>>,
-    /// From how many members this one has a confirmation.
+    /// From how many members this member has a confirmation.
     pub confirmed: usize,
-    /// The members that this one waits for.
+    /// The members for which this member waits, as positions.
     pub waits_for: Vec<usize>,
 }
 
 /// A rendezvous.
 #[derive(Clone, Debug)]
 pub struct Meeting {
-    /// The port.
+    /// The port of the rendezvous.
     pub port: PortId,
-    /// Its name.
+    /// The name of the port.
     pub name: Name,
-    /// The round that its members wait in, or the next one.
+    /// The round in which members wait or, if none waits, the next round.
     pub round: Round,
     /// The members, owner first.
     pub members: Vec<Member>,
-    /// The shortest remaining patience among the waiting members.
+    /// The shortest remaining patience of the waiting members.
     pub left: Option<Left>,
     /// The longest patience of any member, in microseconds: the scale of the bar.
     pub patience_us: u64,
@@ -80,7 +81,7 @@ impl Meeting {
         self.members.iter().filter(|m| matches!(m.standing, Standing::Arrived | Standing::Released)).count()
     }
 
-    /// The members that others wait for, although their node or task is known to have ended.
+    /// The members for which others wait, although the member's node or task is known to have ended.
     pub fn lost(&self) -> impl Iterator<Item = &Member> {
         let awaited = |at: usize| self.members.iter().any(|m| m.waits_for.contains(&at));
         let members = self.members.iter().enumerate();
@@ -89,7 +90,7 @@ impl Meeting {
 }
 
 impl Member {
-    /// Whether it can never arrive: its node is gone, or the task itself.
+    /// Whether the member can never arrive, because its node or its task has ended.
     #[must_use]
     pub fn is_gone(&self) -> bool {
         self.presence.is_some_and(Presence::is_gone) || matches!(self.doing.as_str(), CRASHED | ENDED)
@@ -97,7 +98,7 @@ impl Member {
 }
 
 impl Member {
-    /// Why it can never arrive, in one word.
+    /// Why the member can never arrive, in one word.
     #[must_use]
     pub fn end(&self) -> &'static str {
         match self.presence {
@@ -112,21 +113,21 @@ impl Member {
 const CRASHED: &str = "the task CRASHED";
 const ENDED: &str = "the task ended";
 
-/// The view of a meeting at one attached member.
+/// The view that one attached member has of the rendezvous.
 struct MemberReport<'a> {
     incarnation: &'a NodeIncarnation,
     age_us: u64,
     view: &'a MeetingView,
 }
 
-/// The meetings of a cell, in the order of their ports.
+/// The rendezvous of a cell, in the order of their ports.
 #[must_use]
 pub fn meetings(store: &Store, cell: &Name, now: Moment) -> Vec<Meeting> {
     let Some(names) = store.names(cell) else { return Vec::new() };
     names.meetings.iter().filter_map(|port| meeting(store, cell, *port, now)).collect()
 }
 
-/// One meeting of a cell.
+/// One rendezvous of a cell.
 #[must_use]
 pub fn meeting(store: &Store, cell: &Name, port: PortId, now: Moment) -> Option<Meeting> {
     let names = store.names(cell)?;
@@ -180,7 +181,7 @@ fn tell(incarnation: Option<&NodeIncarnation>, task: TaskId, port: PortId) -> Op
     Some(MemberReport { incarnation, age_us: snapshot.age_us, view })
 }
 
-/// The freshest round in which a member waits; if none waits, the freshest next round of any member.
+/// The newest round in which a member waits; if no member waits, the newest next round of any member.
 fn round_shown(told: &[Option<MemberReport<'_>>], now: Moment) -> Round {
     let rounds = |waiting: bool| {
         let all = told.iter().flatten().filter(move |t| {
@@ -191,7 +192,7 @@ fn round_shown(told: &[Option<MemberReport<'_>>], now: Moment) -> Round {
     rounds(true).or_else(|| rounds(false)).unwrap_or_default()
 }
 
-/// Fills in a member's own view.
+/// Fills in a member from its own view.
 fn place(member: &mut Member, told: &MemberReport<'_>, tasks: &[TaskId], round: Round, now: Moment) {
     let view = told.view;
     let waits = view.state != MeetingState::Away && view.round == round;
@@ -216,7 +217,7 @@ fn place(member: &mut Member, told: &MemberReport<'_>, tasks: &[TaskId], round: 
     }
 }
 
-/// Takes the state of a member without an attached source from the views of the others.
+/// Fills in the members whose nodes are not attached, from the views of the other members.
 fn hear_of_the_silent(members: &mut [Member]) {
     for i in 0..members.len() {
         if members[i].standing == Standing::Unknown {
@@ -238,7 +239,7 @@ fn of_unseen(store: &Store, cell: &Name, names: &Names, task: TaskId) -> String 
     text.to_owned()
 }
 
-/// What a task does, or that it or its node has ended.
+/// What a task does, or that the task or its node has ended.
 pub(super) fn doing(incarnation: &NodeIncarnation, task: TaskId, now: Moment) -> String {
     let presence = incarnation.presence(now);
     if presence != Presence::Up {

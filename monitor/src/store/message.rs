@@ -1,4 +1,4 @@
-//! The history of one message: its stages, its remaining time at each, and the time that each stage cost.
+//! The history of one message: its stages, its remaining time at each stage, and the time that each stage took.
 
 use super::timeline::{Mark, timeline_of};
 use super::trail::{KEPT, Seen};
@@ -9,39 +9,39 @@ use imrs_protocol::{Event, PortId, TaskId};
 /// Identifies a message: its source, its port, and the source's number for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MessageKey {
-    /// The sender.
+    /// The task that sent the message.
     pub source: TaskId,
-    /// The port.
+    /// The port of the message.
     pub port: PortId,
-    /// Its sequence number.
+    /// The sequence number of the message.
     pub number: u32,
 }
 
-/// An event of a message.
+/// A stage: an event of one message.
 #[derive(Clone, Copy, Debug)]
 pub struct Stage {
     /// The event, with place and time.
     pub mark: Mark,
     /// The remaining time of the message, in microseconds.
     pub left_us: u64,
-    /// The index of the stage from which it follows.
+    /// The index of the stage from which this stage follows.
     pub after: Option<usize>,
-    /// The time that the protocol charged since that stage, in microseconds.
+    /// The time that the protocol charged the message since the stage `after`, in microseconds.
     pub charged_us: Option<u64>,
-    /// The time that passed since that stage by the clocks.
+    /// The time that passed since the stage `after`, by the clocks.
     pub passed: Option<Passed>,
 }
 
-/// The time between two stages.
+/// The time that passed between two stages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Passed {
-    /// Microseconds.
+    /// The time, in microseconds.
     pub us: u64,
-    /// Whether it involves the clocks of two nodes, and so is an estimate.
+    /// Whether the time comes from the clocks of two nodes, and so is an estimate.
     pub estimated: bool,
 }
 
-/// The stages of a message, causes first. Empty if nothing is known of it.
+/// The stages of a message, causes first. Empty if nothing is known about the message.
 #[must_use]
 pub fn incarnation_of(store: &Store, cell: &Name, key: MessageKey) -> Vec<Stage> {
     let marks = timeline_of(store, cell, KEPT, |seen| concerns(seen, key)).marks;
@@ -61,7 +61,7 @@ pub fn incarnation_of(store: &Store, cell: &Name, key: MessageKey) -> Vec<Stage>
 }
 
 /// The stage from which `mark` follows: the previous one at the same place, or else the send. An answer follows from
-/// the reply, or from the send of the request, so that the return path is charged too.
+/// the reply, or from the send of the request, so that the way of the answer is charged, too.
 fn before(stages: &[Stage], mark: &Mark, key: MessageKey) -> Option<usize> {
     let same = |s: &Stage| (s.mark.incarnation, s.mark.task, s.mark.in_transit) == place(mark);
     let event = |wanted: Event| move |s: &Stage| s.mark.seen.what.event == wanted;
@@ -87,7 +87,7 @@ fn passed(from: &Mark, to: &Mark) -> Option<Passed> {
     Some(Passed { us: u64::try_from(us).unwrap_or(u64::MAX), estimated: true })
 }
 
-/// The message of an observation, if it concerns one.
+/// The message that an observation is about, if it is about one.
 #[must_use]
 pub fn key_of(seen: &Seen) -> Option<MessageKey> {
     let what = seen.what;

@@ -1,4 +1,4 @@
-//! The store: the state and the events of every observed node. It contains only reducers, without clock or I/O.
+//! The store: the state and the events of every observed node. It reads no clock and does no I/O.
 
 pub mod blocked;
 pub mod conformance;
@@ -42,13 +42,13 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use trail::Trail;
 
-/// How many attach errors are kept.
+/// How many reasons for failed attempts to attach are kept.
 const TROUBLES: usize = 64;
 
 /// The state and the events of all observed nodes.
 #[derive(Clone, Debug, Default)]
 pub struct Store {
-    /// Sorted by cell, node and incarnation.
+    /// All observed incarnations, sorted by cell, node and incarnation.
     incarnations: Vec<NodeIncarnation>,
     of_source: BTreeMap<SourceId, IncarnationId>,
     born: u32,
@@ -60,22 +60,22 @@ pub struct Store {
     silences: cuts::Silences,
     /// For each source that cannot attach, the reason.
     troubles: BTreeMap<SourceId, String>,
-    /// Cells and nodes, as file names, that left their sockets behind.
+    /// The nodes that left their sockets behind, as names of cells and nodes in the form for file names.
     killed: Vec<(String, String)>,
     /// How many deltas did not fit the last state.
     gaps: u64,
-    /// Whether the data comes from running nodes: then all nodes of a cell should be present.
+    /// Whether the data comes from running nodes: if so, all nodes of a cell should be present.
     is_live: bool,
 }
 
 impl Store {
-    /// A store for running nodes. The default store is for recordings, in which a missing node is normal.
+    /// Makes a store for running nodes. The default store is for recordings, in which a missing node is normal.
     #[must_use]
     pub fn of_running_nodes() -> Self {
         Self { is_live: true, ..Self::default() }
     }
 
-    /// Applies what a source delivered.
+    /// Applies an arrival from a source to the store.
     pub fn apply(&mut self, arrival: Arrival) {
         let Arrival { at, source, feed } = arrival;
         match feed {
@@ -125,7 +125,7 @@ impl Store {
         (last.node_id == node && last.names.cell == *cell).then_some(last)
     }
 
-    /// The latest incarnation of each node of a cell. Findings and rates ignore the earlier ones.
+    /// The latest incarnation of each node of a cell. Findings and rates ignore earlier incarnations.
     pub fn present<'a>(&'a self, cell: &'a Name) -> impl Iterator<Item = &'a NodeIncarnation> {
         self.incarnations_of(cell).filter(|incarnation| self.is_present(incarnation))
     }
@@ -153,13 +153,13 @@ impl Store {
         self.incarnations_of(cell).map(|l| &l.names).max_by_key(|n| n.nodes.len())
     }
 
-    /// How many deltas did not fit the last state. If this grows, ask for whole snapshots.
+    /// How many deltas did not fit the last state. If this number grows, the monitor must ask for whole snapshots.
     #[must_use]
     pub const fn gaps(&self) -> u64 {
         self.gaps
     }
 
-    /// Approximate memory of the states, the events and the statistics, in bytes.
+    /// The approximate memory of the states, the events and the statistics, in bytes.
     #[must_use]
     pub fn weight(&self) -> usize {
         let states: usize = self.incarnations.iter().map(NodeIncarnation::weight).sum();
@@ -240,7 +240,7 @@ impl Store {
             .incarnations
             .iter()
             .any(|l| l.names.cell == incarnation.names.cell && l.node == incarnation.node);
-        // A node of the checker has no process.
+        // A node of the checker's counterexample has no process.
         let process = if pid == 0 { String::new() } else { format!("pid {pid}, ") };
         let detail = format!("incarnation {}, {process}{}", incarnation.number, incarnation.build);
         let kind = if again { "restart" } else { "attached" };
@@ -271,7 +271,7 @@ impl Store {
             ServerFrame::Vitals(vitals) => self.incarnations[index].feel(at, vitals),
             ServerFrame::HeldBack(what) => self.incarnations[index].held_back = Some(Received { at, what }),
             ServerFrame::Pong(pong) => self.incarnations[index].compare_clocks(at, pong),
-            // The source has already handled these.
+            // The source has already handled these frames.
             ServerFrame::Places(_) | ServerFrame::Denied(_) | ServerFrame::Challenge(_) => {}
             ServerFrame::Events(events) => self.events(at, index, events),
             ServerFrame::Bye(bye) => match bye.reason {
@@ -293,7 +293,7 @@ impl Store {
         self.incarnations.iter().position(|l| l.id == *id)
     }
 
-    /// Takes over the names. The cell's name is the one in the node's hello, not the one in the table.
+    /// Stores the names of a cell. The cell's name comes from the node's hello, not from its table.
     fn table(&mut self, index: usize, table: Table) {
         let cell = self.incarnations[index].names.cell.raw().to_owned();
         let told = Names::new(Table { cell, ..table });
@@ -326,7 +326,7 @@ impl Store {
         let mut found = Vec::new();
         let was = |id: TaskId| before.tasks.iter().find(|(task, _)| *task == id).map(|(_, was)| *was);
         for task in &after.tasks {
-            // Only an ended task is looked up.
+            // Tasks that still run have nothing to report here.
             if task.liveness == Liveness::Alive {
                 continue;
             }
@@ -395,7 +395,7 @@ impl Store {
 
     fn end(&mut self, at: Moment, source: SourceId, condition: Condition) {
         let Some(index) = self.index_of(source) else { return };
-        // Ignore the end of the connection after an orderly goodbye.
+        // After an orderly goodbye, the end of the connection is no event.
         if self.incarnations[index].condition != Condition::Attached {
             return;
         }

@@ -1,4 +1,4 @@
-//! A cell's table, with every name escaped for the terminal.
+//! The names in a cell's table, escaped for the terminal.
 
 use crate::name::Name;
 use imrs_protocol::{Class, NodeId, PortId, TaskId, Ticks, Usage};
@@ -7,7 +7,7 @@ use imrs_wire::obs::{LinkName, PartyName, Table};
 /// A task of the cell.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TaskInfo {
-    /// Its name.
+    /// The name of the task.
     pub name: Name,
     /// The node on which it runs.
     pub node: NodeId,
@@ -16,15 +16,15 @@ pub struct TaskInfo {
 /// A port of the cell.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PortInfo {
-    /// Its name.
+    /// The name of the port.
     pub name: Name,
-    /// Its class.
+    /// The class of the port's messages.
     pub class: Class,
-    /// `bounded_buffer`.
+    /// The value of `bounded_buffer`: how many messages the port's buffer holds.
     pub capacity: u16,
-    /// The margin of a `waitfor`.
+    /// The margin, if the port is a `waitfor`.
     pub margin: Ticks,
-    /// Owner first, then the users.
+    /// The tasks that have the port: the owner first, then the users.
     pub parties: Vec<PartyName>,
 }
 
@@ -39,24 +39,24 @@ impl PortInfo {
 /// The names of a cell. Node data is untrusted, so an unknown id gets a placeholder name.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Names {
-    /// The cell.
+    /// The name of the cell.
     pub cell: Name,
-    /// The declared lateness of timers, in ticks of the nodes.
+    /// The tick of the cell: the declared lateness of timers, in ticks of the nodes.
     pub tick: Ticks,
-    /// The nodes.
+    /// The names of the nodes.
     pub nodes: Vec<Name>,
-    /// The links.
+    /// The links of the cell.
     pub links: Vec<LinkName>,
-    /// The tasks.
+    /// The tasks of the cell.
     pub tasks: Vec<TaskInfo>,
-    /// The ports.
+    /// The ports of the cell.
     pub ports: Vec<PortInfo>,
-    /// The ports that are a rendezvous, ascending, so that users need not search all ports.
+    /// The ports that are a rendezvous, ascending, so that callers need not search all ports.
     pub meetings: Vec<PortId>,
 }
 
 impl Names {
-    /// The names in `table`.
+    /// Escapes the names in `table`.
     #[must_use]
     pub fn new(table: Table) -> Self {
         let port = |p: imrs_wire::obs::PortName| PortInfo {
@@ -97,13 +97,13 @@ impl Names {
         self.tasks.get(id.index()).map_or_else(|| Name::new(&format!("{id}?")), |t| t.name.clone())
     }
 
-    /// The node that a task runs on.
+    /// The node on which a task runs.
     #[must_use]
     pub fn home(&self, id: TaskId) -> Option<NodeId> {
         self.tasks.get(id.index()).map(|t| t.node)
     }
 
-    /// A port, if the cell has it.
+    /// A port; `None` if the cell does not have it.
     #[must_use]
     pub fn port(&self, id: PortId) -> Option<&PortInfo> {
         self.ports.get(id.index())

@@ -6,41 +6,42 @@ use crate::clock::Moment;
 use crate::name::Name;
 use imrs_protocol::{MessageId, PortId, TaskId, Usage};
 
-/// In how many ports messages are looked for: those with the least slack. Looking at each message of ten thousand ports
-/// would take longer than a frame.
+/// How many ports are searched for messages that may miss their deadline: the ports with the least slack. Examining
+/// each message of ten thousand ports would take longer than a frame.
 const PORTS: usize = 64;
 
-/// A queued message with its time until it must be done.
+/// A queued message, with the time that it has left and needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Near {
-    /// The incarnation of the node at which it is queued.
+    /// The incarnation of the node at which the message is queued.
     pub incarnation: IncarnationId,
-    /// The task that receives it.
+    /// The task that receives the message.
     pub task: TaskId,
-    /// The port.
+    /// The port of the message.
     pub port: PortId,
-    /// The task that sent it, and its id, if the node lists its queue.
+    /// The task that sent the message, and the message's id; `None` if the node does not list the port's queue.
     pub message: Option<(TaskId, MessageId)>,
     /// The remaining time of the message.
     pub left: Left,
-    /// When its receiver has probably served it, in microseconds from now: 99 of 100 messages are served earlier.
+    /// The time from now until the receiver has probably served the message, in microseconds: 99 of 100 messages are
+    /// served earlier.
     pub needs_us: Option<u64>,
 }
 
 impl Near {
-    /// Whether it will probably miss its deadline.
+    /// Whether the message will probably miss its deadline.
     #[must_use]
     pub fn is_miss(&self) -> bool {
         self.needs_us.is_some_and(|needs| self.left.us < needs)
     }
 
-    /// The time to spare, in microseconds: negative if it will probably miss its deadline.
+    /// The time to spare, in microseconds: negative if the message will probably miss its deadline.
     fn spare(&self) -> i128 {
         i128::from(self.left.us) - i128::from(self.needs_us.unwrap_or(0))
     }
 }
 
-/// The messages nearest to their deadline, nearest first, at most `most`.
+/// The messages that are nearest to their deadline, nearest first, at most `most`.
 #[must_use]
 pub fn nearest(store: &Store, cell: &Name, now: Moment, most: usize) -> Vec<Near> {
     let mut ports = Vec::new();

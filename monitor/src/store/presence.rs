@@ -1,4 +1,4 @@
-//! Whether a node is there at a moment, and since when it is not.
+//! Whether a node runs at a moment, and since when it does not.
 
 use crate::clock::Span;
 use std::fmt;
@@ -7,13 +7,13 @@ use std::time::Duration;
 /// The presence of a node at a moment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Presence {
-    /// It sends frames.
+    /// The node sends frames.
     Up,
-    /// It is attached, but has sent nothing for this long.
+    /// The node is attached, but has sent nothing for this long.
     Silent(Duration),
-    /// It stopped in order, this long ago.
+    /// The node stopped in order, this long ago.
     Stopped(Duration),
-    /// It died, this long ago.
+    /// The node died, this long ago.
     Dead(Duration),
 }
 
@@ -24,7 +24,7 @@ impl Presence {
         matches!(self, Self::Stopped(_) | Self::Dead(_))
     }
 
-    /// The state and its length in two words: `DEAD 9s`.
+    /// The presence and its length in two words: `DEAD 9s`.
     #[must_use]
     pub fn brief(self) -> String {
         match self {

@@ -5,19 +5,19 @@ use crate::clock::Moment;
 use imrs_protocol::{HeldView, PortId, QueueEntry, TaskId};
 use std::time::Duration;
 
-/// Details older than this are replaced by the snapshot's list.
+/// If the details of a watched queue are older than this, the snapshot's list is used instead.
 const STALE: Duration = Duration::from_secs(1);
 
 /// A queued message.
 #[derive(Clone, Copy, Debug)]
 pub struct Waiting {
-    /// The message.
+    /// The queued message.
     pub entry: QueueEntry,
-    /// Its remaining time now.
+    /// The remaining time of the message now.
     pub left: Left,
-    /// Its history, if the port is watched.
+    /// The history of the message, if the port is watched.
     pub held: Option<HeldView>,
-    /// Its remaining back-off now, in microseconds.
+    /// The time until the message is offered again after a rejection, in microseconds.
     pub back_off_us: u64,
 }
 

@@ -1,4 +1,4 @@
-//! The recent past of a node: its traffic and least slack in each second, and its counters some seconds ago.
+//! The recent past of a node: its traffic and least slack in each second, and its counters some seconds before.
 
 use crate::clock::Moment;
 use imrs_protocol::{PortCounters, PortId, PortView, TaskId};
@@ -7,22 +7,22 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// How many seconds are kept.
+/// How many seconds of a node are kept.
 pub const SECONDS: usize = 60;
-/// The time over which [`Recent::grown`] compares counters. The comparison is at most a second older.
+/// The interval over which [`Recent::grown`] compares counters. The compared counters are at most a second older.
 pub const WINDOW: Duration = Duration::from_secs(5);
 const SECOND: Duration = Duration::from_secs(1);
 
-/// A second of a node.
+/// One second of a node's past.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Second {
-    /// The messages that its tasks sent and took.
+    /// How many messages the node's tasks sent and took.
     pub messages: u64,
-    /// The least slack of a queued message in microseconds, in any state that arrived in this second.
+    /// The least slack of a queued message in microseconds, over all states that arrived in this second.
     pub slack_us: Option<u64>,
 }
 
-/// What a port has counted so far.
+/// The counters of a port at one moment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Counted {
     end: (TaskId, PortId),
@@ -37,10 +37,10 @@ struct Counted {
 #[derive(Clone, Debug, Default)]
 pub struct Recent {
     seconds: VecDeque<Second>,
-    /// When the present second began, and how many messages there had been then.
+    /// When the present second began, and how many messages the tasks had sent and taken by then.
     open: Option<(Moment, u64)>,
     slack_us: Option<u64>,
-    /// What the ports had counted at the beginning of the last seconds, sorted by task and port.
+    /// The counters of the ports at the beginning of each of the last seconds, sorted by task and port.
     counted: VecDeque<(Moment, Arc<[Counted]>)>,
 }
 
@@ -50,8 +50,8 @@ impl Recent {
         self.seconds.iter().copied()
     }
 
-    /// How much the counters of a port have grown within [`WINDOW`]; `now` are the latest ones. Refused and evicted are
-    /// one sum.
+    /// By how much the counters of a port have grown within [`WINDOW`]; `now` are its latest counters. Refused and
+    /// evicted messages are one sum.
     #[must_use]
     pub fn grown(&self, task: TaskId, port: PortId, now: &PortCounters) -> PortCounters {
         let Some((_, all)) = self.counted.front() else { return PortCounters::default() };
@@ -69,13 +69,13 @@ impl Recent {
         }
     }
 
-    /// Approximate memory, in bytes.
+    /// The approximate memory of this value, in bytes.
     pub(super) fn weight(&self) -> usize {
         let counted = self.counted.iter().map(|(_, all)| size_of_val(&**all)).sum::<usize>();
         counted + self.seconds.capacity() * size_of::<Second>()
     }
 
-    /// Takes note of a state.
+    /// Takes a new state of the node.
     pub(super) fn sampled(&mut self, at: Moment, snapshot: &Snapshot, tick_us: u64) {
         let slack = |task: &TaskSnapshot| {
             let least = task.view.ports.iter().filter_map(|port| port.min_slack).min()?;
@@ -93,7 +93,7 @@ impl Recent {
             return;
         }
         let total = messages(snapshot);
-        // A node that sent no state for some seconds has the same mean in each of them.
+        // If a node sent no state for some seconds, each of these seconds gets the same mean.
         let seconds = u64::try_from(passed.as_millis() / SECOND.as_millis()).unwrap_or(u64::MAX).max(1);
         let messages = total.saturating_sub(before) / seconds;
         let second = Second { messages, slack_us: self.slack_us.take() };
@@ -111,13 +111,13 @@ impl Recent {
         let mut all: Vec<Counted> = Vec::new();
         for task in &snapshot.tasks {
             let counted = task.view.ports.iter().map(|port| Counted::of(task.view.task, port));
-            // Most ports have counted nothing, and one that is not kept counts as such.
+            // Most ports have counted nothing. A port that is not stored counts as such.
             all.extend(counted.filter(|counted| !counted.is_zero()));
         }
         all.sort_by_key(|counted| counted.end);
         let same = self.counted.back().filter(|(_, last)| **last == *all).map(|(_, last)| Arc::clone(last));
         self.counted.push_back((at, same.unwrap_or_else(|| all.into())));
-        // One entry from before the window stays, as its beginning.
+        // One entry from before the window stays, as the window's beginning.
         while self.counted.get(1).is_some_and(|next| at.saturating_sub(next.0) >= WINDOW) {
             self.counted.pop_front();
         }
@@ -147,7 +147,7 @@ impl Counted {
     }
 }
 
-/// The messages that the tasks of a state have sent and taken.
+/// How many messages the tasks of a state have sent and taken.
 fn messages(snapshot: &Snapshot) -> u64 {
     let ports = snapshot.tasks.iter().flat_map(|task| &task.view.ports);
     let count = |port: &PortView| port.counters.sent.saturating_add(port.counters.delivered);

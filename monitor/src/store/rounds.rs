@@ -1,4 +1,4 @@
-//! The history of each rendezvous, from the events of its members (§4.3): arrivals, releases and give-ups per round.
+//! The history of each rendezvous (§4.3), from the events of its members: arrivals, releases and give-ups in each round.
 
 use super::Store;
 use super::service::percentile;
@@ -8,24 +8,24 @@ use imrs_protocol::{Event, PortId, TaskId};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-/// How many rounds are kept per rendezvous.
+/// How many rounds of a rendezvous are kept.
 pub const KEPT: usize = 50;
 
 /// How a round ended for one member.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// It was released.
+    /// The member was released.
     Released,
-    /// It gave up.
+    /// The member gave up.
     GaveUp,
-    /// It left for a fresher round.
+    /// The member left for a newer round.
     Left,
 }
 
 /// How a round ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// Not all members that arrived have left it.
+    /// Not all members that arrived have left the round.
     Open,
     /// All members that arrived were released.
     Done,
@@ -35,21 +35,21 @@ pub enum Outcome {
     Divergent,
 }
 
-/// One round.
+/// One round of a rendezvous.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Round {
-    /// Its number.
+    /// The number of the round.
     pub number: u32,
-    /// The members that arrived, in the order of their reports, with the moment on the monitor's clock.
+    /// The members that arrived, in the order of their reports, each with the moment of its arrival on the monitor's clock.
     pub came: Vec<(TaskId, Moment)>,
-    /// How it ended for each member that has left it.
+    /// How the round ended for each member that has left it.
     pub ended: Vec<(TaskId, End)>,
-    /// The moment of its last event.
+    /// The moment of the round's last event.
     pub last: Moment,
 }
 
 impl Round {
-    /// How it ended.
+    /// How the round ended.
     #[must_use]
     pub fn outcome(&self) -> Outcome {
         let went_on = self.ended.iter().any(|(_, end)| *end == End::Released);
@@ -62,8 +62,8 @@ impl Round {
         }
     }
 
-    /// The last member to arrive, and the time since the first arrival. Between nodes it is only as exact as the
-    /// monitor's connections.
+    /// The member that arrived last, and the time since the first arrival. Between nodes this time is only as exact as
+    /// the monitor's connections.
     #[must_use]
     pub fn gathered(&self) -> Option<(TaskId, Moment)> {
         let first = self.came.iter().map(|(_, at)| *at).min()?;
@@ -87,27 +87,27 @@ pub struct History {
 /// The statistics of a rendezvous.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Summary {
-    /// Rounds in which all members that arrived were released.
+    /// How many rounds released all members that arrived.
     pub done: usize,
-    /// Rounds in which all members gave up or left.
+    /// In how many rounds all members gave up or left.
     pub in_vain: usize,
-    /// Rounds in which some members were released and others were not.
+    /// In how many rounds some members were released and others were not.
     pub divergent: usize,
     /// The median time from the first arrival to the last, in microseconds; only of rounds in which all members arrived.
     pub gather_p50_us: Option<u64>,
-    /// Its 99th percentile.
+    /// The 99th percentile of the time from the first arrival to the last, in microseconds.
     pub gather_p99_us: Option<u64>,
-    /// The member that arrived last most often, and in what percentage of the rounds.
+    /// The member that most often arrived last, and in what percentage of the rounds it did.
     pub slowest: Option<(TaskId, usize)>,
 }
 
 impl History {
-    /// The rounds, oldest first.
+    /// The last rounds, oldest first.
     pub fn rounds(&self) -> impl DoubleEndedIterator<Item = &Round> {
         self.rounds.iter()
     }
 
-    /// The statistics. `members` is the number of members; a round with fewer arrivals has no gather time.
+    /// Computes the statistics. `members` is the number of members; a round with fewer arrivals has no gather time.
     #[must_use]
     pub fn summary(&self, members: usize) -> Summary {
         let count = |outcome| self.rounds.iter().filter(|r| r.outcome() == outcome).count();
@@ -149,7 +149,7 @@ impl History {
     }
 }
 
-/// The rounds that were seen of the rendezvous on a port.
+/// The observed rounds of the rendezvous on a port.
 #[must_use]
 pub fn history<'s>(store: &'s Store, cell: &Name, port: PortId) -> Option<&'s History> {
     store.histories.of.get(&(cell.clone(), port)).map(AsRef::as_ref)
@@ -162,7 +162,7 @@ pub(super) struct Histories {
 }
 
 impl Histories {
-    /// Updates the history with an event of a task.
+    /// Updates the histories with an event of a task.
     pub fn happened(
         &mut self,
         cell: &Name,
@@ -179,7 +179,7 @@ impl Histories {
         };
         let history = Arc::make_mut(self.of.entry((cell.clone(), port)).or_default());
         if event == Event::Rejoined {
-            // The member leaves the round in which it waited so far.
+            // The member leaves the round in which it has waited so far.
             let waits = |round: &&mut Round| {
                 round.came.iter().any(|(of, _)| *of == task) && !round.ended.iter().any(|(of, _)| *of == task)
             };
@@ -192,7 +192,7 @@ impl Histories {
         history.round(number).last = at;
         match end {
             None => history.came(task, number, at),
-            // A member whose arrival was not seen does not count for the gather time.
+            // A member whose arrival was not observed does not count for the gather time.
             Some(end) => history.round(number).end(task, end),
         }
     }

@@ -1,5 +1,5 @@
-//! Service statistics of a port, derived from events and snapshots: service times, shares of the sources, and fill of
-//! the buffer.
+//! Service statistics of a port, derived from events and snapshots: service times, shares of the sources, and the
+//! number of queued messages.
 
 use super::{IncarnationId, Store};
 use imrs_protocol::{Event, PortId, Reason, TaskId};
@@ -7,23 +7,23 @@ use imrs_wire::obs::{Events, Snapshot};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-/// How many service times are kept per port: enough for a 99th percentile, and few enough to follow a change.
+/// How many service times of a port are kept: enough for a 99th percentile, and few enough to follow a change.
 const TIMES: usize = 256;
-/// How many samples of the buffer's fill are kept.
+/// How many samples of the number of queued messages are kept.
 const FILL: usize = 60;
-/// How many rejected messages, and how many sources, are kept per port.
+/// How many rejected messages, and how many sources, are kept for a port.
 const KNOWN: usize = 256;
-/// With fewer service times there is no forecast.
+/// If a port has fewer service times than this, there is no forecast.
 const LEAST: usize = 5;
 
 /// Counts of the messages of one source.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Share {
-    /// Messages that arrived.
+    /// How many messages of the source arrived.
     pub offered: u64,
-    /// Messages handed to the task.
+    /// How many messages of the source were handed to the task.
     pub served: u64,
-    /// How often a message was rejected by rank.
+    /// How often messages of the source were rejected by rank.
     pub rejected: u64,
 }
 
@@ -33,32 +33,34 @@ pub struct Service {
     /// Median service time in microseconds: from delivery until the answer, or until the task takes the next queued
     /// message. `None` if there are too few samples.
     pub p50_us: Option<u64>,
-    /// The forecast from these times.
+    /// The forecast that follows from the service times.
     pub outlook: Outlook,
-    /// The number of service times, at most 256.
+    /// The number of kept service times, at most 256.
     pub samples: usize,
     /// The share of each source, ascending.
     pub by_source: Vec<(TaskId, Share)>,
-    /// The fill of the buffer in recent samples, oldest first.
+    /// How many messages were queued in recent samples, oldest first.
     pub fill: Vec<u16>,
-    /// The slack of the most urgent message in those samples, if one was queued: the 5th percentile, in microseconds.
+    /// The 5th percentile of the slack of the most urgent queued message in the recent samples, in microseconds; `None`
+    /// if no message was queued.
     pub slack_p5_us: Option<u64>,
-    /// The median of that slack.
+    /// The median slack of the most urgent queued message in the recent samples, in microseconds.
     pub slack_p50_us: Option<u64>,
     rejected: BTreeMap<(TaskId, u32), u32>,
 }
 
-/// The forecast for a port. It is computed for all ports repeatedly, so it has no field that only a screen shows.
+/// The forecast for a port. It is computed repeatedly for all ports, so it has no field that only one screen shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Outlook {
     /// The 99th percentile of the service time, in microseconds; `None` if there are too few samples.
     pub p99_us: Option<u64>,
-    /// The queued message with the most rejections: its source, its number, and how often.
+    /// The queued message with the most rejections: its source, its number, and how often it was rejected.
     pub most_rejected: Option<(TaskId, u32, u32)>,
 }
 
 impl Outlook {
-    /// The time in microseconds until the message at `position` (from 0) in the buffer is served, at the present service time.
+    /// The time until the message at `position` (from 0) in the buffer is served, in microseconds, if service takes as
+    /// long as at present.
     #[must_use]
     pub fn done_in(&self, position: usize) -> Option<u64> {
         let turns = u64::try_from(position).unwrap_or(u64::MAX).saturating_add(1);
@@ -67,8 +69,8 @@ impl Outlook {
 }
 
 impl Service {
-    /// Jain's fairness index over each source's ratio of served messages: 1 if all are equal, 1/n if one source gets
-    /// everything. `None` with fewer than two sources.
+    /// Jain's fairness index, computed from the share of its messages that each source got served: 1 if all shares are
+    /// equal, 1/n if one of n sources gets everything. `None` with fewer than two sources.
     #[must_use]
     pub fn jain(&self) -> Option<f64> {
         #[expect(clippy::cast_precision_loss, reason = "an index between 0 and 1")]
@@ -111,21 +113,22 @@ pub(super) struct Services {
 struct Port {
     /// How many messages are queued.
     waiting: u32,
-    /// The message that the task is serving: source, number, moment of delivery, and whether others were queued behind it.
+    /// The message that the task is serving: source, number, moment of delivery, and whether other messages were queued
+    /// behind it.
     in_hand: Option<(TaskId, u32, u64, bool)>,
     times: VecDeque<u32>,
     shares: BTreeMap<TaskId, Share>,
     rejected: BTreeMap<(TaskId, u32), u32>,
     fill: VecDeque<u16>,
-    /// Microseconds, saturating at about an hour.
+    /// The slack of the most urgent message in recent samples, in microseconds; at most about an hour.
     slack: VecDeque<u32>,
 }
 
 impl Services {
-    /// Updates the statistics with the events of an incarnation, in the order of each task.
+    /// Updates the statistics with the events of an incarnation, which are in order for each task.
     pub fn happened(&mut self, incarnation: IncarnationId, events: &Events) {
         if events.lost > 0 {
-            // Discard open measurements, because events are missing.
+            // Because events are missing, the measurements that have begun are discarded.
             for (_, port) in self.ports.range_mut(of(incarnation)) {
                 Arc::make_mut(port).in_hand = None;
             }
@@ -148,12 +151,12 @@ impl Services {
         }
     }
 
-    /// Updates the statistics with a snapshot: the fill of the buffers.
+    /// Updates the statistics with a snapshot, which says how many messages are queued.
     pub fn sampled(&mut self, incarnation: IncarnationId, tick_us: u64, snapshot: &Snapshot) {
         for task in &snapshot.tasks {
             for view in task.view.ports.iter().filter(|view| view.capacity > 0) {
                 let key = (incarnation, task.view.task, view.port);
-                // A port that was always empty needs no statistics.
+                // A port whose queue was always empty needs no statistics.
                 if view.len == 0 && !self.ports.contains_key(&key) {
                     continue;
                 }
@@ -168,7 +171,7 @@ impl Services {
         }
     }
 
-    /// Approximate memory of the statistics, in bytes.
+    /// The approximate memory of the statistics, in bytes.
     pub fn weight(&self) -> usize {
         let port = |port: &Arc<Port>| {
             size_of::<Port>()
@@ -200,7 +203,7 @@ impl Port {
                 if let Some((.., since, true)) = self.in_hand.take() {
                     self.took(at.saturating_sub(since));
                 }
-                // A message for a waiting task is delivered without being queued, so count it here.
+                // A message for a waiting task is delivered without being queued, so it is counted here.
                 if self.waiting == 0 {
                     self.share(source).offered += 1;
                 }
@@ -243,7 +246,7 @@ impl Port {
     }
 
     fn outlook(&self) -> Outlook {
-        // Of at most 256 values the 99th percentile is one of the three greatest.
+        // The 99th percentile of at most 256 values is one of the three greatest.
         let mut greatest = [0; 3];
         for &us in &self.times {
             if let Some(place) = greatest.iter().position(|&other| us > other) {
@@ -274,7 +277,7 @@ impl Port {
     }
 }
 
-/// Adds `value`, and drops the oldest one if there are more than `most`.
+/// Adds `value`, and drops the oldest value if there are then more than `most`.
 fn keep<T>(kept: &mut VecDeque<T>, value: T, most: usize) {
     if kept.len() == most {
         kept.pop_front();
@@ -312,7 +315,7 @@ mod tests {
     fn a_message_takes_until_it_is_answered_or_until_the_next_that_waited_is_taken() {
         let mut all: Vec<_> = (0..6).map(|n| event(0, Event::Enqueued, 1, n)).collect();
         all.extend((0..6).map(|n| event(u64::from(n) * 1_000, Event::Delivered, 1, n)));
-        // Nothing was queued behind the last one, so only its answer ends the measurement.
+        // No message was queued behind the last one, so only its answer ends the measurement.
         all.push(event(5_300, Event::Replied, 1, 5));
         let service = learnt(all);
         assert_eq!((service.samples, service.p50_us, service.outlook.p99_us), (6, Some(1_000), Some(1_000)));

@@ -1,8 +1,8 @@
 //! The timeline: the events of all tasks in a causal order. A send comes before its effects, whatever the clocks of the
 //! nodes say.
 //!
-//! The paper has no synchronized clock, and neither has the monitor. A ping gives the offset of a node's clock, or
-//! otherwise the snapshot with the shortest delay. So the order of events on different nodes is an estimate.
+//! The paper has no synchronized clock, and neither has the monitor. The offset of a node's clock comes from a ping or,
+//! without one, from the snapshot with the shortest delay. So the order of events on different nodes is an estimate.
 
 use super::trail::Seen;
 use super::{IncarnationId, NodeIncarnation, Store};
@@ -13,13 +13,13 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashMap, HashSet};
 use std::time::Duration;
 
-/// The largest assumed error between the clocks of two nodes when the cause of an event is searched.
+/// The largest error between the clocks of two nodes that is assumed when the cause of an event is searched.
 const APART: Duration = Duration::from_millis(100);
 
-/// An event in a task.
+/// An event of a task, as the timeline draws it.
 #[derive(Clone, Copy, Debug)]
 pub struct Mark {
-    /// The incarnation of its node.
+    /// The incarnation of the task's node.
     pub incarnation: IncarnationId,
     /// The task; for a drop in a transit buffer, the task that had sent the packet.
     pub task: TaskId,
@@ -27,11 +27,11 @@ pub struct Mark {
     pub in_transit: bool,
     /// The event, with its time on the node's own clock.
     pub seen: Seen,
-    /// The estimated moment on the monitor's clock.
+    /// The estimated moment of the event on the monitor's clock.
     pub at: Moment,
-    /// The moment used for sorting: [`Mark::at`], but never before its cause.
+    /// The moment by which marks are sorted: [`Mark::at`], but never before the mark's cause.
     pub order: Moment,
-    /// The index of its cause in another task.
+    /// The index of the mark in another task that caused this one.
     pub cause: Option<usize>,
 }
 
@@ -46,30 +46,30 @@ impl Mark {
 /// A gap: lost events.
 #[derive(Clone, Copy, Debug)]
 pub struct Gap {
-    /// The incarnation that lost them.
+    /// The incarnation whose events were lost.
     pub incarnation: IncarnationId,
-    /// How many.
+    /// How many events were lost.
     pub lost: u64,
-    /// The moment before which they were lost.
+    /// The moment before which the events were lost.
     pub order: Moment,
 }
 
 /// The marks of a cell in order, and the gaps between them.
 #[derive(Clone, Debug, Default)]
 pub struct Timeline {
-    /// The marks.
+    /// The marks, in order.
     pub marks: Vec<Mark>,
     /// The gaps, in order.
     pub gaps: Vec<Gap>,
 }
 
-/// The last `most` marks of a cell.
+/// The last marks of a cell, at most `most`.
 #[must_use]
 pub fn timeline(store: &Store, cell: &Name, most: usize) -> Timeline {
     timeline_of(store, cell, most, |_| true)
 }
 
-/// The last `most` marks of a cell that `wanted` selects.
+/// The last marks of a cell, at most `most`, of the events that `wanted` selects.
 #[must_use]
 pub fn timeline_of(store: &Store, cell: &Name, most: usize, wanted: impl Fn(&Seen) -> bool) -> Timeline {
     let incarnations: BTreeSet<IncarnationId> =
@@ -102,7 +102,7 @@ pub fn timeline_of(store: &Store, cell: &Name, most: usize, wanted: impl Fn(&See
     Timeline { marks: ordered(marks), gaps }
 }
 
-/// For each incarnation, how far the monitor's clock is ahead of the node's, in microseconds.
+/// For each incarnation, by how much the monitor's clock is ahead of the node's, in microseconds.
 fn offsets(store: &Store, cell: &Name) -> BTreeMap<IncarnationId, i128> {
     store
         .incarnations_of(cell)
@@ -110,8 +110,8 @@ fn offsets(store: &Store, cell: &Name) -> BTreeMap<IncarnationId, i128> {
         .collect()
 }
 
-/// How far the monitor's clock is ahead of a node's, in microseconds. It comes from a ping, or otherwise from the
-/// snapshot with the shortest delay.
+/// By how much the monitor's clock is ahead of a node's, in microseconds. The value comes from a ping or, without one,
+/// from the snapshot with the shortest delay.
 #[must_use]
 pub fn clock_ahead(incarnation: &NodeIncarnation) -> Option<i128> {
     if let Some(clock) = incarnation.clock {
@@ -127,7 +127,7 @@ pub fn own_clock(incarnation: &NodeIncarnation, at: Moment) -> Option<u64> {
     u64::try_from(since_start(incarnation, at)?).ok()
 }
 
-/// The same, also before the start: then it is negative.
+/// As [`own_clock`], but negative before the node's start.
 #[must_use]
 pub fn since_start(incarnation: &NodeIncarnation, at: Moment) -> Option<i64> {
     let snapshot = &incarnation.last.as_ref()?.snapshot;
@@ -144,7 +144,7 @@ fn micros(at: Moment) -> i128 {
     i128::try_from(at.as_micros()).unwrap_or(i128::MAX)
 }
 
-/// The key of a possible cause: its task, port, kind and number.
+/// The key under which a cause is found: its task, port, kind and number.
 type Act = (TaskId, PortId, Kind, u32);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -194,7 +194,8 @@ fn act(mark: &Mark) -> Option<Act> {
     Some((mark.task, what.port, kind, what.number))
 }
 
-/// The key of a mark's cause. A confirmation does not name its sender, so any task that confirmed the round matches.
+/// The key of a mark's cause. A confirmation does not name the task that sent it, so any task that confirmed the round
+/// matches.
 fn caused_by(mark: &Mark) -> Option<(Option<TaskId>, PortId, Kind, u32)> {
     let what = mark.seen.what;
     let (from, kind) = match what.event {
@@ -227,9 +228,9 @@ fn caused_by(mark: &Mark) -> Option<(Option<TaskId>, PortId, Kind, u32)> {
     Some((from, what.port, kind, what.number))
 }
 
-/// Finds each mark's cause: the latest match that is not later, otherwise the earliest that is not clearly later. Several
-/// may match, because numbers restart with each incarnation, and confirmations are repeated. A later repetition must not
-/// be the cause: it would delay everything after it.
+/// Finds each mark's cause: the latest match that is not later, otherwise the earliest that is not clearly later.
+/// Several marks may match, because numbers restart with each incarnation, and confirmations are repeated. A later
+/// repetition must not be the cause, because it would delay all marks after it.
 fn find_causes(marks: &mut [Mark]) {
     // `acts` has the last mark per key, and `alike` links each mark to the previous one with the same key.
     let mut acts: HashMap<u64, usize> = HashMap::with_capacity(marks.len());
@@ -299,8 +300,8 @@ fn reordered(mut marks: Vec<Mark>) -> Vec<Mark> {
     let (mut latest, mut first_open) = (Duration::ZERO, 0);
     while order.len() < marks.len() {
         let Some(Reverse((moment, at))) = ready.pop() else {
-            // Node data is untrusted, so causes may form a cycle. Then drop the cause of the first unplaced mark. Its
-            // task's earlier marks are placed, so only the cause blocks it.
+            // Node data is untrusted, so causes may form a cycle. Then the cause of the first unplaced mark is dropped.
+            // The earlier marks of its task are placed, so only the cause blocks it.
             while placed.get(first_open).is_some_and(|place| *place != usize::MAX) {
                 first_open += 1;
             }

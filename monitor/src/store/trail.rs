@@ -1,5 +1,5 @@
 //! The trail: single observations in bounded memory, for screens that follow single messages. The journal, in contrast,
-//! folds repetitions.
+//! combines repetitions into one entry.
 
 use super::IncarnationId;
 use super::coverage::{Fired, KINDS, place};
@@ -10,13 +10,13 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// How many observations are kept.
+/// How many observations are kept, at most.
 pub const KEPT: usize = 32 * 1024;
 
-/// How many batches are searched for the event behind a present state.
+/// How many batches are searched for the event that led to a present state.
 const LOOKED_AT: usize = 64;
 
-/// The most incarnations, and tasks of each, for which events are counted.
+/// For how many incarnations events are counted, at most, and for how many tasks of each.
 const INCARNATIONS: usize = 256;
 const TASKS: usize = 4096;
 
@@ -25,7 +25,7 @@ const TASKS: usize = 4096;
 pub struct Seen {
     /// The node's monotonic clock at the event, in microseconds.
     pub mono_us: u64,
-    /// The task; `None` for the transit buffer.
+    /// The task that observed it; `None` for the transit buffer.
     pub task: Option<TaskId>,
     /// The observation.
     pub what: Observation,
@@ -34,20 +34,20 @@ pub struct Seen {
 /// One frame of events from an incarnation of a node.
 #[derive(Clone, Debug)]
 pub struct Batch {
-    /// The incarnation.
+    /// The incarnation from which the frame came.
     pub incarnation: IncarnationId,
-    /// The moment of arrival.
+    /// The moment at which the frame arrived.
     pub at: Moment,
-    /// How many observations were lost before these.
+    /// How many observations were lost before those of this batch.
     pub lost: u64,
-    /// The greatest `mono_us` of the batch.
+    /// The greatest `mono_us` of the batch's observations.
     pub newest_us: u64,
     /// The observations, oldest first for each task.
     pub seen: Arc<[Seen]>,
 }
 
 impl Batch {
-    /// The moment of an observation of the batch, under the assumption of no transfer delay.
+    /// The moment of an observation of the batch, if the frame had no transfer delay.
     #[must_use]
     pub const fn moment(&self, seen: &Seen) -> Moment {
         self.at.saturating_sub(Duration::from_micros(self.newest_us.saturating_sub(seen.mono_us)))
@@ -59,7 +59,7 @@ impl Batch {
 pub struct Trail {
     batches: VecDeque<Batch>,
     len: usize,
-    /// For each incarnation and each of its tasks: how often each kind was ever observed.
+    /// For each incarnation and each of its tasks: how often each kind of event was observed so far.
     fired: BTreeMap<IncarnationId, BTreeMap<Option<TaskId>, Box<Fired>>>,
 }
 
@@ -95,7 +95,7 @@ impl Trail {
         }
     }
 
-    /// How often each kind was ever observed in a task of an incarnation (`None` for its transit buffer).
+    /// How often each kind of event was observed so far in a task of an incarnation (`None` for its transit buffer).
     #[must_use]
     pub fn fired(&self, incarnation: IncarnationId, task: Option<TaskId>) -> Option<&Fired> {
         self.fired.get(&incarnation)?.get(&task).map(|fired| &**fired)
@@ -116,7 +116,7 @@ impl Trail {
         batches.flat_map(|batch| batch.seen.iter().rev()).find(fits).map(|seen| seen.what.number)
     }
 
-    /// Approximate memory of the observations, in bytes.
+    /// The approximate memory of the observations, in bytes.
     #[must_use]
     pub fn weight(&self) -> usize {
         let counts = self.fired.values().map(|tasks| tasks.len() * size_of::<Fired>()).sum::<usize>();
@@ -129,7 +129,7 @@ impl Trail {
     }
 }
 
-/// The cost of a batch includes one for itself, so that empty batches are bounded too.
+/// What a batch costs: its observations, and one for the batch itself, so that the number of empty batches is bounded, too.
 fn cost(seen: &[Seen]) -> usize {
     seen.len() + 1
 }

@@ -1,4 +1,4 @@
-//! Nodes that a cell declares, but that never reported to this monitor.
+//! Nodes that a cell declares, but that have never reported to this monitor.
 
 use super::Store;
 use crate::name::Name;
@@ -8,11 +8,11 @@ use imrs_wire::obs::place;
 /// A node of which only the name is known.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Unseen {
-    /// Its id.
+    /// The id of the node.
     pub node: NodeId,
-    /// Its name.
+    /// The name of the node.
     pub name: Name,
-    /// Whether its socket was left behind, which means that it was killed.
+    /// Whether the node's socket was left behind, which means that the node was killed.
     pub is_killed: bool,
 }
 

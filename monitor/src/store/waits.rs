@@ -1,5 +1,5 @@
 //! The wait-for graph over every kind of wait: a `waitfor` with missing members, an unanswered request, and a receive
-//! with a single possible sender. It gives the tasks on which others wait, and the wait-for cycles.
+//! with a single possible sender. From the graph follow the tasks for which others wait, and the wait-for cycles.
 
 use super::meeting::{Meeting, Standing, meetings};
 use super::names::Names;
@@ -13,47 +13,47 @@ use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-/// The age that a node's state may have in the store: one snapshot period plus the transfer.
+/// The greatest normal age of a node's state in the store: one snapshot period plus the transfer.
 const PERIOD: Duration = Duration::from_millis(200);
 
-/// An edge of the graph: a task waits for another.
+/// An edge of the graph: one task waits for another.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Wait {
     /// The waiting task.
     pub waiter: TaskId,
     /// The awaited task.
     pub on: TaskId,
-    /// The port.
+    /// The port of the wait.
     pub port: PortId,
     /// The kind of wait: `waitfor lift`, `reply grip`, `receive beat`.
     pub why: String,
-    /// How long it has lasted, in microseconds; unknown for a wait without a time_out.
+    /// How long the wait has lasted, in microseconds; `None` for a wait without a time_out.
     pub waited_us: Option<u64>,
     /// The time_out of the wait, in microseconds.
     pub time_out_us: Option<u64>,
 }
 
-/// A cycle of tasks in which each waits for the next. Only a time_out ends it.
+/// A cycle of tasks in which each waits for the next. Only a time_out ends such a cycle.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Cycle {
     /// The tasks, starting with the least id.
     pub tasks: Vec<TaskId>,
-    /// For each task, the reason: `armL waits for hoist (waitfor lift)`.
+    /// For each task, why it waits for the next: `armL waits for hoist (waitfor lift)`.
     pub why: Vec<String>,
 }
 
-/// A task that others wait for.
+/// A task for which other tasks wait.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Awaited {
     /// The awaited task.
     pub task: TaskId,
-    /// The tasks that wait for it directly or indirectly, ascending.
+    /// The tasks that wait for the awaited task, directly or indirectly, ascending.
     pub by: Vec<TaskId>,
-    /// The longest of the waits at this task.
+    /// The longest of the waits for the awaited task.
     pub wait: Wait,
 }
 
-/// The waits of a cell that only the awaited task can end, sorted by waiter.
+/// The waits of a cell that only the awaited task can end, sorted by waiting task.
 #[must_use]
 pub fn waits(store: &Store, cell: &Name, now: Moment) -> Vec<Wait> {
     let Some(names) = store.names(cell) else { return Vec::new() };
@@ -71,8 +71,7 @@ pub fn waits(store: &Store, cell: &Name, now: Moment) -> Vec<Wait> {
     found
 }
 
-/// A member waits for the members that have not arrived. An arrival that is still in flight counts, because it will be
-/// received.
+/// A member waits for the members that have not arrived. An arrival that is still in flight counts as an arrival.
 fn at_meeting(meeting: &Meeting, names: &Names, found: &mut Vec<Wait>) {
     let waiting = meeting.members.iter().filter(|m| m.standing == Standing::Arrived);
     for member in waiting {
@@ -112,7 +111,7 @@ fn at_port(incarnation: &NodeIncarnation, task: &TaskSnapshot, now: Moment) -> O
     Some(Wait { waiter, on, port, why, waited_us, time_out_us })
 }
 
-/// The only task that can end a receive, if there is exactly one and no message is queued.
+/// The only task that can end a receive, if there is exactly one such task and no message is queued.
 fn sole_sender(
     incarnation: &NodeIncarnation,
     task: TaskId,
@@ -142,8 +141,8 @@ const fn sends(usage: Usage) -> bool {
     }
 }
 
-/// The cycles among the waits of a cell. A cycle that an in-flight message may still break is not reported. All
-/// messages that its tasks sent must have arrived before the latest reports of their nodes.
+/// The cycles among the waits of a cell. A cycle that an in-flight message may still break is not reported: all
+/// messages that the cycle's tasks sent must have arrived before the latest reports of the nodes.
 #[must_use]
 pub fn cycles(store: &Store, cell: &Name, now: Moment) -> Vec<Cycle> {
     let Some(names) = store.names(cell) else { return Vec::new() };
@@ -173,14 +172,14 @@ pub fn cycles(store: &Store, cell: &Name, now: Moment) -> Vec<Cycle> {
     cycles
 }
 
-/// Drops the waits of a pair in which one task waits for an answer and the other to receive on the same port: the
-/// request is in flight.
+/// Drops the waits of two tasks on one port if one task waits for an answer there and the other waits to receive there:
+/// the request is in flight.
 fn settle(waits: &mut Vec<Wait>) {
     let ends: BTreeSet<_> = waits.iter().map(|w| (w.waiter, w.on, w.port)).collect();
     waits.retain(|w| !ends.contains(&(w.on, w.waiter, w.port)));
 }
 
-/// Keeps only waits whose waiter is awaited and whose awaited task waits, because a cycle has no others.
+/// Keeps only the waits that can be in a cycle: another task waits for the waiting task, and the awaited task waits, too.
 fn trim(waits: &mut Vec<Wait>) {
     loop {
         let waiters: BTreeSet<_> = waits.iter().map(|w| w.waiter).collect();
@@ -198,7 +197,7 @@ fn busy(store: &Store, names: &Names, incarnations: &[&NodeIncarnation], now: Mo
     let tick_us = incarnations.iter().map(|l| l.tick_us).max().unwrap_or(1);
     let link_us = names.links.iter().map(|l| l.delay.0.saturating_mul(tick_us)).max().unwrap_or(0);
     let settled = PERIOD.saturating_add(Duration::from_micros(link_us.saturating_mul(3)));
-    // The reports of a suspended or late node may be old, so count from the oldest report of any node.
+    // The report of a suspended or late node may be old, so the time is counted from the oldest report of any node.
     let heard = incarnations.iter().map(|incarnation| incarnation.heard).min().unwrap_or(now);
     let since = heard.saturating_sub(settled);
     let acts = |seen: &Seen| {
@@ -243,8 +242,8 @@ fn shortest(waits: &[Wait], start: TaskId) -> Option<Vec<&Wait>> {
     None
 }
 
-/// The tasks that others wait for and that wait for no task themselves, most awaited first. Tasks in a cycle are not
-/// among them.
+/// The tasks for which others wait and that wait for no task themselves. The task for which most others wait comes
+/// first. Tasks in a cycle are not among them.
 #[must_use]
 pub fn awaited(store: &Store, cell: &Name, now: Moment) -> Vec<Awaited> {
     let waits = waits(store, cell, now);

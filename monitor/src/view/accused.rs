@@ -1,4 +1,4 @@
-//! What the health cell of a row says, and how a block shows in the overview.
+//! The text of a row's health cell, and how a block is shown in the overview.
 
 use super::columns::{Cells, HEALTH_CELL};
 use super::mark;
@@ -9,7 +9,7 @@ use crate::store::health::{Finding, Place};
 use crate::store::journal::Severity;
 use crate::theme::Ink;
 
-/// Marks the row of what blocks the cell, and those of the tasks that it holds.
+/// Marks the row of the place that blocks the cell, and the rows of the tasks that it holds.
 pub(super) fn accuse(
     app: &App,
     row: &Row,
@@ -19,7 +19,7 @@ pub(super) fn accuse(
     cells: &mut Cells,
 ) {
     let mut alarming = blockers.iter().filter(|blocker| blocker.is_alarming());
-    // What only follows from a block is not as loud as its cause.
+    // A finding that only follows from a block is shown less strikingly than the block.
     let worst = findings.iter().find(|finding| row.place.holds(&finding.place));
     if worst.is_some_and(|worst| blockers.iter().any(|blocker| blocker.explains(worst))) {
         cells[HEALTH_CELL].1 = Ink::Warn;
@@ -31,7 +31,7 @@ pub(super) fn accuse(
         cells[0].1 = Ink::Alarm;
         let names = app.cell().and_then(|cell| app.store().names(&cell));
         let all = names.map_or(0, |names| names.tasks.len());
-        // A finding of its own says more than the number of tasks that wait.
+        // A finding of the row itself is more important than the number of tasks that wait.
         let is_innermost = row.depth == 1 || row.depth == 0 && !row.open;
         let holds = !blocker.by.is_empty() && blocker.kind != Kind::Cut;
         if width >= 60 && holds && is_innermost {
@@ -43,7 +43,7 @@ pub(super) fn accuse(
         }
         return;
     }
-    // A row of a port has its own findings.
+    // The row of a port shows only its own findings.
     let Some(blocker) = alarming.find(|blocker| row.depth == 1 && blocker.holds(&row.place)) else { return };
     let worst = findings.iter().find(|f| row.place.holds(&f.place) && !blocker.explains(f));
     if worst.is_none() {
@@ -53,7 +53,7 @@ pub(super) fn accuse(
     cells[0].1 = Ink::Warn;
 }
 
-/// The most severe finding within a row; on a narrow screen only its sign.
+/// The most severe finding within a row. On a narrow screen this is only a sign.
 pub(super) fn health(row: &Row, findings: &[Finding], width: u16) -> (String, Ink) {
     let Some(worst) = findings.iter().find(|f| row.place.holds(&f.place)) else {
         let never_seen = row.place.node.is_err() && row.place != Place::HEALTHY;

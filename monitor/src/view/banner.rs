@@ -1,4 +1,4 @@
-//! The banner below the header of every screen: what blocks the cell, how long, and which tasks it holds.
+//! The banner below the header of every screen: what blocks the cell, for how long, and which tasks the block holds.
 
 use super::canvas::{Canvas, columns};
 use crate::app::App;
@@ -11,13 +11,13 @@ use crate::store::health::{Finding, held_back_sentence};
 use crate::store::journal::Severity;
 use crate::theme::Ink;
 
-/// How many rows it takes. On a very low screen only an alarm has room.
+/// How many rows the banner takes. On a very low screen, only an alarm has room.
 pub(super) fn rows(app: &App, blockers: &[Blocker], height: u16) -> u16 {
     let alarm = blockers.first().is_some_and(Blocker::is_alarming);
     u16::from(app.cell().is_some() && (height >= 8 || (height >= 3 && alarm)))
 }
 
-/// Draws it. A click on it leads to the culprit.
+/// Draws the banner. A click on it selects the place that blocks the cell.
 pub(super) fn draw(
     app: &App,
     findings: &[Finding],
@@ -30,7 +30,7 @@ pub(super) fn draw(
     let Some(first) = blockers.first() else {
         let (text, ink) = match held_back(app, &cell, now) {
             Some(text) => (text, Ink::Warn),
-            // In the half second before a block is shown, its findings already deny this.
+            // A block is shown only after half a second, but its findings already show that the cell is not well.
             None if findings.iter().any(|finding| finding.level == Severity::Bad) => return,
             None => (" no single blocker".to_owned(), Ink::Dim),
         };
@@ -57,7 +57,7 @@ const fn ink(level: Severity) -> Ink {
     }
 }
 
-/// The texts, longest first. Each names the culprit first, so that a cut text names it too.
+/// The texts about a block, longest first. Each begins with the cause of the block, so that a cut text names it, too.
 fn forms(blocker: &Blocker, names: &Names, others: usize) -> Vec<String> {
     let Blocker { name, state, .. } = blocker;
     let title = match (blocker.kind, blocker.is_alarming()) {
@@ -100,7 +100,7 @@ fn forms(blocker: &Blocker, names: &Names, others: usize) -> Vec<String> {
     ]
 }
 
-/// The restarted node with the longest remaining hold-back.
+/// The text about the restarted node whose scripts are held back longest.
 fn held_back(app: &App, cell: &Name, now: Moment) -> Option<String> {
     let up = app.store().present(cell).filter(|incarnation| !incarnation.presence(now).is_gone());
     let held = up.filter_map(|incarnation| Some((incarnation.longest_held_back(now)?, incarnation)));

@@ -10,7 +10,7 @@ use crate::store::cuts::cuts;
 use crate::theme::Ink;
 use imrs_protocol::NodeId;
 
-/// How many rows at the bottom of the overview these take.
+/// How many rows at the bottom of the overview this part takes.
 pub(super) const fn rows(height: u16) -> u16 {
     if height < 8 { 0 } else { 1 }
 }
@@ -18,7 +18,7 @@ pub(super) const fn rows(height: u16) -> u16 {
 /// Draws the links and the validator's verdict.
 pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let Some(cell) = app.cell().filter(|_| canvas.height() > 0) else { return };
-    // The verdict counts more than the links, so the links get the room that it leaves.
+    // The verdict is more important than the links, so the links get the remaining room.
     let verdict = model(app, &cell);
     let width = verdict.iter().map(|(text, _)| columns(text)).fold(0, u16::saturating_add);
     let room = canvas.area.width.saturating_sub(width);
@@ -36,7 +36,7 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     canvas.target(start, 0, x.saturating_sub(start), Hit::Tab(Screen::Model));
 }
 
-/// For each link: active, quiet for how long, or down at one end.
+/// For each link: whether it is active, for how long it has been quiet, or that a node at one of its ends is down.
 fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink)> {
     let store = app.store();
     let Some(names) = store.names(cell) else { return Vec::new() };
@@ -52,7 +52,7 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink)> {
             _ if gone(link.a) || gone(link.b) => pieces.push((format!("{name}DOWN"), Ink::Warn)),
             _ if is_cut(link.a, link.b) => pieces.push((format!("{name}CUT"), Ink::Bad)),
             Some(us) if us <= LATELY_US => pieces.push((format!("{name}ok"), Ink::Plain)),
-            // A cell without traffic leaves its links quiet, which is no fault.
+            // Without traffic a link is quiet, which is no fault.
             Some(us) => pieces.push((format!("{name}quiet {}", Span::micros(us)), Ink::Dim)),
             None => unknown += 1,
         }
@@ -66,12 +66,13 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink)> {
     pieces
 }
 
-/// How many links are shown; more do not fit.
+/// How many links are shown at most; more have no room.
 const SHOWN: usize = 12;
 /// A link is quiet if its last datagram is older than this.
 const LATELY_US: u64 = 1_000_000;
 
-/// Time since the last datagram at `at` from `peer`, in microseconds; `None` if there was none or it is unknown.
+/// How long ago the node `at` last received a datagram from `peer`, in microseconds. `None` if it has received none, or
+/// if the time is unknown.
 fn heard(app: &App, cell: &Name, at: NodeId, peer: NodeId, now: Moment) -> Option<u64> {
     let incarnation =
         app.store().latest(cell, at).filter(|incarnation| !incarnation.presence(now).is_gone())?;
@@ -79,7 +80,7 @@ fn heard(app: &App, cell: &Name, at: NodeId, peer: NodeId, now: Moment) -> Optio
     last.snapshot.links.iter().find(|link| link.peer == peer)?.heard_us
 }
 
-/// Whether all nodes together do what the verified model does, as the replay of their recordings says.
+/// Whether all nodes together behave as the verified state machine, according to the replay of their recordings.
 fn model(app: &App, cell: &Name) -> Vec<(String, Ink)> {
     let store = app.store();
     let (mut steps, mut unknown, mut violated) = (0_u64, 0, None);

@@ -20,7 +20,7 @@ pub(super) struct Canvas<'a> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Column {
     pub title: &'static str,
-    /// In screen columns, without the gap after it. 0: such columns share the remaining width.
+    /// The width in screen columns, without the gap after it. Columns with width 0 share the remaining width.
     pub width: u16,
     pub right: bool,
 }
@@ -41,7 +41,7 @@ impl Canvas<'_> {
         self.area.height
     }
 
-    /// The same part without its first `rows` rows.
+    /// The part of this canvas below its first `rows` rows.
     pub(super) fn below(&mut self, rows: u16) -> Canvas<'_> {
         let rows = rows.min(self.area.height);
         let area = Rect { y: self.area.y + rows, height: self.area.height - rows, ..self.area };
@@ -63,12 +63,13 @@ impl Canvas<'_> {
         }
     }
 
-    /// Notes that a list of `lines` shows `page` of them.
+    /// Notes how many lines the screen's list has, and how many have room.
     pub(super) const fn list(&mut self, page: usize, lines: usize) {
         (self.drawn.page, self.drawn.lines) = (page, lines);
     }
 
-    /// The first of `lines` to show in `page` rows at a scroll position: the last page stays full.
+    /// The first of `lines` that is shown at a scroll position, if `page` lines have room. At the end, the last page
+    /// stays full.
     pub(super) fn scrolled(&mut self, scroll: usize, page: usize, lines: usize) -> usize {
         self.list(page, lines);
         scroll.min(lines.saturating_sub(page))
@@ -117,7 +118,7 @@ impl Canvas<'_> {
         }
     }
 
-    /// Writes the first of `texts` for which the right end of a row is free. If none fits, the row stays as it is.
+    /// Writes the first of `texts` that fits into the free right end of a row. If none fits, the row stays as it is.
     pub(super) fn corner(&mut self, y: u16, texts: &[String], ink: Ink) {
         if y >= self.area.height {
             return;
@@ -178,14 +179,14 @@ pub(super) fn cut(text: &str, width: u16) -> String {
     out
 }
 
-/// A text in exactly `width` columns: cut, or with spaces after it.
+/// A text in exactly `width` columns: cut, or followed by spaces.
 pub(super) fn fit(text: &str, width: u16) -> String {
     let out = cut(text, width);
     let spaces = width.saturating_sub(columns(&out));
     out + &" ".repeat(spaces.into())
 }
 
-/// The widths of `columns` in a total `width`.
+/// The widths of `columns` if the table has a total of `width` screen columns.
 pub(super) fn widths(columns: &[Column], width: u16) -> Vec<u16> {
     let gaps = u16::try_from(columns.len().saturating_sub(1)).unwrap_or(0);
     let fixed: u16 = columns.iter().map(|c| c.width).sum();
@@ -202,7 +203,7 @@ pub(super) fn widths(columns: &[Column], width: u16) -> Vec<u16> {
     columns.iter().map(&mut width).collect()
 }
 
-/// A bar of `width` columns that shows `part` of `whole`. A nonzero part shows at least one full column.
+/// A bar of `width` columns that shows `part` as a share of `whole`. A part above zero fills at least one column.
 pub(super) fn bar(theme: &Theme, width: u16, part: u64, whole: u64) -> String {
     let columns = u64::from(width);
     let full = if whole == 0 {
@@ -214,7 +215,7 @@ pub(super) fn bar(theme: &Theme, width: u16, part: u64, whole: u64) -> String {
     theme.glyphs.full.repeat(full) + &theme.glyphs.empty.repeat(usize::from(width) - full)
 }
 
-/// The first of `count` rows to show in `height`, so that `selected` is visible: lists scroll by pages.
+/// The first of `count` rows that is shown if `height` rows have room, so that `selected` is visible: lists scroll by pages.
 pub(super) fn first_row(selected: usize, count: usize, height: usize) -> usize {
     let page = selected / height.max(1) * height.max(1);
     page.min(count.saturating_sub(height))

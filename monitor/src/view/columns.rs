@@ -4,7 +4,7 @@ use super::canvas::Column;
 use crate::rows::Sort;
 use crate::theme::Ink;
 
-/// Name, state, queue, slack, rate, expired, overflow, rejected, re-sent, timed out, health.
+/// The cells of a row: name, state, queue, slack, rate, expired, overflow, rejected, re-sent, timed out, health.
 pub(super) type Cells = [(String, Ink); 11];
 
 /// The index of the health cell.
@@ -12,12 +12,12 @@ pub(super) const HEALTH_CELL: usize = 10;
 
 /// The least width of a column that shares the remaining width.
 const OPEN: u16 = 12;
-/// The least width of the names.
+/// The least width of the column with the names.
 const NAME: u16 = 14;
 
-/// The columns for a width, and the indices of the cells that they show. `longest` are the longest name and the longest
-/// queue on the screen: what they do not need is for the health, and no number is cut.
-/// `chosen` are the user's own cells; those at the end that have no room are left out.
+/// The columns for a screen of this width, and the indices of the cells that they show. `longest` has the widths of the
+/// longest name and the longest queue on the screen. The width that these do not need is for the health, and no number
+/// is cut. `chosen` are the user's own cells; cells at the end that have no room are left out.
 pub(super) fn columns(width: u16, longest: (u16, u16), chosen: &[usize]) -> (Vec<Column>, Vec<usize>) {
     let (name, state, queue, cells): (u16, u16, u16, &[usize]) = match width {
         0..60 => (0, 0, 5, &[0, 2, 3, HEALTH_CELL]),
@@ -59,7 +59,7 @@ pub(super) fn columns(width: u16, longest: (u16, u16), chosen: &[usize]) -> (Vec
     (cells.iter().map(column).collect(), cells)
 }
 
-/// The order that a click on a column's title chooses.
+/// The sort order that a click on this column title chooses.
 pub(super) fn sort_of(title: &str) -> Option<Sort> {
     match title {
         "NODE/TASK/PORT" => Some(Sort::Name),

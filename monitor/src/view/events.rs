@@ -79,7 +79,8 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     canvas.corner(0, &texts, if app.held.is_some() { Ink::Warn } else { Ink::Dim });
 }
 
-/// Before the detail of an entry: how often it occurred, and when last, if that is not about when it began.
+/// The text before the details of an entry: how often the event occurred and, if it occurred repeatedly over some time,
+/// when it last occurred.
 fn times(entry: &Entry, now: Moment) -> String {
     let count = entry.count();
     if count.is_empty() {

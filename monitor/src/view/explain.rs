@@ -1,4 +1,4 @@
-//! The page about a finding's code: what it means, when it is raised, what to do. `imrs explain` prints the same.
+//! The page about a finding's code: what it means, when it is raised, what to do. `imrs explain` prints the same page.
 
 use super::canvas::{Canvas, columns};
 use super::lists::Window;
@@ -12,7 +12,7 @@ pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
         return;
     };
     let width = canvas.area.width.saturating_sub(2).min(100);
-    // The pages have no other character that a terminal without UTF-8 lacks.
+    // A terminal without UTF-8 cannot show this character. The pages have no other such character.
     let text = lint.explanation.replace('§', "section ");
     let lines = wrapped(&text, width);
     let room = usize::from(canvas.height());

@@ -186,7 +186,7 @@ pub fn column(screen: Screen, title: &str) -> Option<String> {
     Some(format!("{name}: {text}"))
 }
 
-/// Explanations of a screen's columns.
+/// The explanations of a screen's columns.
 pub(crate) const fn columns(screen: Screen) -> &'static [(&'static str, &'static str)] {
     match screen {
         Screen::Overview | Screen::Settings | Screen::Help => OVERVIEW,

@@ -1,4 +1,4 @@
-//! The bottom line: what is unusual at the left, and the keys of the screen at the right. Findings never displace them.
+//! The bottom line: unusual facts at the left, and the keys of the screen at the right. Findings never displace the keys.
 
 use super::canvas::{Canvas, columns};
 use super::{before_pause, explain_column, mark, overview};
@@ -24,7 +24,7 @@ pub(super) fn draw(
         line_typed(app, entry, y, canvas);
         return;
     }
-    // The next key removes an answer, so it may take the whole row.
+    // The next key press removes an answer, so the answer may take the whole row.
     if let Some(told) = &app.told {
         canvas.line(y, &[(" ", Ink::Head), (told, Ink::Head)]);
         return;
@@ -58,12 +58,12 @@ pub(super) fn draw(
     canvas.part(area).line(y, &pieces);
 }
 
-/// Draws the line that is typed, its cursor, and behind it what is wrong with it or how it may go on.
+/// Draws the line that the user types with its cursor, and behind it an error in the line or possible completions.
 fn line_typed(app: &App, entry: &Entry, y: u16, canvas: &mut Canvas<'_>) {
     let sign = if entry.kind == Kind::Filter { " /" } else { " :" };
     let start = canvas.at(0, y, u16::MAX, sign, Ink::Head);
     let text = entry.input.value();
-    // Half of the row at most is for the text, so that what is wrong with it has room, too.
+    // The text takes at most half of the row, so that an error in it has room, too.
     let room = canvas.area.width.saturating_sub(start + 1);
     let room = if columns(text) > room / 2 { room } else { room / 2 };
     let skipped = entry.input.visual_scroll(usize::from(room.max(1)));
@@ -91,7 +91,7 @@ fn line_typed(app: &App, entry: &Entry, y: u16, canvas: &mut Canvas<'_>) {
     canvas.at(x + 2, y, u16::MAX, &text, ink);
 }
 
-/// As many key hints as fit; the help always.
+/// As many hints at keys as fit; always the hint at the help.
 fn hints(app: &App, width: u16) -> Vec<(String, Action)> {
     let mut chosen: Vec<(String, Action)> = Vec::new();
     let mut used = 0;
@@ -105,7 +105,7 @@ fn hints(app: &App, width: u16) -> Vec<(String, Action)> {
     chosen
 }
 
-/// What is unusual: the mode of the screen, and the most severe finding.
+/// The unusual facts: the mode of the screen, and the most severe finding.
 fn pieces(app: &App, findings: &[Finding], blockers: &[Blocker], now: Moment) -> Vec<(String, Ink)> {
     let mut pieces: Vec<(String, Ink)> = Vec::new();
     if let Some((at, _)) = app.mark().filter(|_| app.since_mark) {

@@ -8,7 +8,7 @@ use crate::app::{App, COMMANDS, Screen};
 use crate::keys::{BINDINGS, Binding};
 use crate::theme::{Ink, Theme};
 
-/// Left text, right text, and the style of the right text.
+/// A line of the help: the left text, the right text, and the style of the right text.
 type Line = (String, String, Ink);
 
 pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {

@@ -1,4 +1,4 @@
-//! What lists have in common: a scrollbar, the position, and sparklines.
+//! The common parts of lists: a scrollbar, the position, and sparklines.
 
 use super::canvas::{Canvas, first_row};
 use crate::drawn::Hit;
@@ -8,14 +8,14 @@ use ratatui::layout::Rect;
 use ratatui::symbols::bar;
 use ratatui::widgets::{Scrollbar, ScrollbarOrientation, ScrollbarState, Sparkline, StatefulWidget, Widget};
 
-/// The part of a list that is shown.
+/// Which part of a list is shown.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Window {
-    /// The first line shown.
+    /// The index of the first line that is shown.
     pub first: usize,
     /// How many lines have room.
     pub page: usize,
-    /// All lines.
+    /// How many lines the list has.
     pub lines: usize,
 }
 
@@ -25,22 +25,22 @@ impl Window {
         self.lines > self.page
     }
 
-    /// `37/156` for the line `at`, if not all lines have room.
+    /// `37/156` for the line `at`; empty if all lines have room.
     pub(super) fn position(self, at: usize) -> String {
         if self.is_partial() { format!("{}/{} ", at + 1, self.lines) } else { String::new() }
     }
 }
 
 impl Canvas<'_> {
-    /// Draws the scrollbar of a list that begins at row `y`. Returns the part beside it.
+    /// Draws the scrollbar of a list that begins at row `y`. Returns the part of the canvas beside the scrollbar.
     pub(super) fn beside_scrollbar(&mut self, y: u16, window: Window) -> Canvas<'_> {
         self.scrollbar(y, window);
         let width = self.area.width - u16::from(window.is_partial() && self.area.width > 1);
         self.part(Rect { width, ..self.area })
     }
 
-    /// Notes the lines of a list in which the line `chosen` is selected, and the places that they are about. Returns
-    /// the part that is shown, and the selected line.
+    /// Notes a list in which the line `chosen` is selected, and for each line the place that it is about. Returns which
+    /// part of the list is shown, and the selected line.
     pub(super) fn chosen(
         &mut self,
         chosen: usize,
@@ -64,7 +64,7 @@ impl Canvas<'_> {
     }
 
     /// Draws the scrollbar of a list that begins at row `y` into the last column, if not all lines have room. A click
-    /// on it moves there.
+    /// on the scrollbar moves the list.
     pub(super) fn scrollbar(&mut self, y: u16, window: Window) {
         let height = self.area.height.saturating_sub(y).min(u16::try_from(window.page).unwrap_or(u16::MAX));
         if !window.is_partial() || height < 2 || self.area.width < 2 {

@@ -1,4 +1,4 @@
-//! Screen 2b: the history of one message, stage by stage, with the time that each stage cost.
+//! Screen 2b: the history of one message, stage by stage, with the time that each stage took.
 
 use super::canvas::{Canvas, Column, bar, columns};
 use crate::app::App;
@@ -48,7 +48,8 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     }
 }
 
-/// The TTL of the message in microseconds: as sent, or else as declared at the source's end of the port.
+/// The TTL of the message in microseconds: the TTL with which it was sent or, if that is unknown, the time_out that its
+/// source declares on the port.
 fn whole(app: &App, names: &Names, key: MessageKey, stages: &[Stage]) -> u64 {
     let sent = stages.iter().find(|s| s.mark.seen.what.event == Event::Sent).map(|s| s.left_us);
     let tick_us = app.incarnation_of_task(key.source).map_or(1, |incarnation| incarnation.tick_us);
@@ -90,7 +91,7 @@ fn table(app: &App, names: &Names, stages: &[Stage], whole_us: u64, canvas: &mut
     canvas.titles(0, &columns, &widths);
     let bar_width = widths.last().map_or(0, |w| w.saturating_sub(2).min(60));
     let room = usize::from(canvas.height().saturating_sub(1));
-    // All rows use one clock, because the nodes' own clocks have different origins and would not be in order.
+    // All rows use the clock of one node. The nodes' own clocks have different origins, so their times would not be in order.
     let first = stages.first().and_then(|stage| app.store().incarnation(stage.mark.incarnation));
     let place = |stage: &Stage| {
         let mark = &stage.mark;
@@ -188,7 +189,7 @@ fn sentence(stages: &[Stage], width: u16) -> Vec<(String, Ink)> {
     lines
 }
 
-/// The place where the message is queued now.
+/// The place where the message is queued now, as text.
 fn waiting(app: &App, names: &Names, key: MessageKey, now: Moment) -> Option<(String, Ink)> {
     let cell = app.cell()?;
     for incarnation in app.store().incarnations_of(&cell) {

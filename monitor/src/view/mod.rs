@@ -101,12 +101,12 @@ fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     }
 }
 
-/// The screen that is shown, also if the window of the settings is over it.
+/// The screen that is shown, also if the window of the settings covers a part of it.
 fn below_window(app: &App) -> Screen {
     if app.screen == Screen::Settings { app.settings_over() } else { app.screen }
 }
 
-/// An area without its last `rows` rows, and these.
+/// Splits off the last `rows` rows of an area. Returns the other rows first.
 const fn split(area: Rect, rows: u16) -> (Rect, Rect) {
     let rows = if rows < area.height { rows } else { area.height };
     let above = area.height - rows;
@@ -176,14 +176,14 @@ fn pieces(app: &App, width: u16, now: Moment) -> Vec<Piece> {
     }
     let mut pieces: Vec<Piece> = glance.into_iter().map(|(text, ink)| (text, ink, None)).collect();
     if narrow {
-        // The end of the line is cut first, so the tab precedes the less important pieces.
+        // The end of the line is cut first, so the tab comes before the less important pieces.
         let at = pieces.len().min(4);
         pieces.insert(at, only_tab(screen));
         return pieces;
     }
     let long = |pieces: &[Piece]| pieces.iter().map(|(text, ..)| columns(text)).fold(0, u16::saturating_add);
     let short = tabs(screen, &SHORTEST);
-    // The tabs are always whole: without room the last warnings give way.
+    // The tabs are always shown completely: without room for all pieces, the last warnings are left out.
     while long(&pieces).saturating_add(long(&short)) > width && pieces.len() > 4 {
         pieces.pop();
     }
@@ -193,24 +193,24 @@ fn pieces(app: &App, width: u16, now: Moment) -> Vec<Piece> {
     pieces
 }
 
-/// On a narrow screen: the name of the shown screen.
+/// The tab for a narrow screen: the name of the shown screen.
 fn only_tab(shown: Screen) -> Piece {
     let tab = TABS.iter().find(|(screen, ..)| *screen == tab_of(shown));
     let name = tab.map_or("Help".to_owned(), |(_, key, name)| format!("{key} {name}"));
     (format!(" [{name}]"), Ink::Head, None)
 }
 
-/// A form of the tabs. Each names the shown screen.
+/// A form in which the tabs are drawn. Each form names the shown screen.
 struct Form {
-    /// Whether the other screens are named, too.
+    /// Whether the form names the other screens, too.
     names: bool,
-    /// Before and after each tab.
+    /// The text before and after each tab.
     gap: &'static str,
-    /// The text for the help.
+    /// The text about the help key.
     help: &'static str,
 }
 
-/// The forms, best first.
+/// The forms of the tabs, best first.
 const FORMS: [Form; 4] = [
     Form { names: true, gap: " ", help: "  ? help" },
     Form { names: true, gap: " ", help: " ?" },
@@ -243,7 +243,7 @@ fn tab_of(screen: Screen) -> Screen {
     }
 }
 
-/// The cell's name, the number of nodes that are up, and warnings that concern everything shown.
+/// Writes the cell's name, the number of nodes that are up, and warnings that concern the whole cell.
 fn cell_at_a_glance(app: &App, cell: &Name, narrow: bool, now: Moment, pieces: &mut Vec<(String, Ink)>) {
     let cells = app.cells();
     let at = cells.iter().position(|c| c == cell).filter(|_| cells.len() > 1);
@@ -278,7 +278,7 @@ fn cell_at_a_glance(app: &App, cell: &Name, narrow: bool, now: Moment, pieces: &
     }
 }
 
-/// While the user has moved back from a pause: how long before it the shown moment is.
+/// If the user has moved back during a pause: how long before the pause the shown moment is.
 fn before_pause(app: &App, now: Moment) -> Option<std::time::Duration> {
     app.gone_back()?;
     Some(app.paused()?.saturating_sub(now))

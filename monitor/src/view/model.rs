@@ -31,7 +31,7 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     }
 }
 
-/// All lines of the screen, and the node or task that each is about.
+/// All lines of the screen. For each line, the node or task that it is about.
 fn lines(app: &App, now: Moment, width: u16) -> (Vec<Line>, Vec<Option<Place>>) {
     let Some(cell) = app.cell() else { return (Vec::new(), Vec::new()) };
     let store = app.store();
@@ -101,7 +101,7 @@ fn node(app: &App, incarnation: &NodeIncarnation, now: Moment, width: u16, lines
     }
 }
 
-/// The transition kinds of a task: observed ones, and possible ones that were never observed.
+/// The kinds of transition of a task: those that were observed, and possible ones that were never observed.
 #[derive(Default)]
 struct Sum {
     fired: Vec<(Event, u64)>,
@@ -124,7 +124,7 @@ impl Sum {
         sum
     }
 
-    /// Adds another task. A kind that any task showed counts once.
+    /// Adds the kinds of another task. A kind that any of the tasks showed counts once.
     fn add(&mut self, other: &Self) {
         for &(kind, count) in &other.fired {
             self.never.retain(|never| *never != kind);
@@ -160,7 +160,7 @@ fn coverage(
     wrapped("     never: ", sum.never.iter().map(|kind| name(*kind)), ", ", Ink::Dim, width, lines);
 }
 
-/// The name of a task in at least twelve columns.
+/// The name of a task, padded to at least twelve columns.
 fn padded(task: &Name) -> String {
     fit(task.shown(), columns(task.shown()).max(12))
 }
@@ -205,7 +205,7 @@ fn wrapped(
 mod tests {
     use super::*;
 
-    /// Characters of two columns: what fits is what a terminal has room for, not what has few bytes.
+    /// Characters that are two columns wide: a line ends where the terminal has no more room, not after a number of bytes.
     #[test]
     fn lines_are_as_long_as_the_screen_is_wide() {
         let wrap = |words: &[&str]| {

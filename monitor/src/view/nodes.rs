@@ -20,11 +20,11 @@ pub(super) fn fold_sign(app: &App, row: &Row) -> &'static str {
     }
 }
 
-/// The cells of a node.
+/// Fills the table cells of a node's row.
 pub(super) fn node(app: &App, incarnation: &NodeIncarnation, row: &Row, now: Moment, cells: &mut Cells) {
     let presence = incarnation.presence(now);
     let sign = if presence.is_gone() { app.theme.glyphs.dead } else { fold_sign(app, row) };
-    // A node of the checker has no process.
+    // A node of the checker's counterexample has no process.
     let pid = if incarnation.pid == 0 { String::new() } else { format!(" (pid {})", incarnation.pid) };
     cells[0] = (format!("{sign} {}{pid}", incarnation.node), Ink::Plain);
     let uptime = incarnation.last.as_ref().map(|s| Duration::from_micros(s.snapshot.uptime_us));
@@ -53,7 +53,7 @@ pub(super) fn node(app: &App, incarnation: &NodeIncarnation, row: &Row, now: Mom
     }
 }
 
-/// What the row of a restarted node says of its incarnations.
+/// What the row of a restarted node says about the node's incarnations.
 fn restarts(app: &App, incarnation: &NodeIncarnation) -> String {
     let all = app.store().incarnations_of(&incarnation.names.cell);
     let is_restarted = all.filter(|other| other.node_id == incarnation.node_id).count() > 1;
@@ -78,12 +78,13 @@ pub(super) fn healthy(app: &App, nodes: &[IncarnationId], row: &Row, now: Moment
     sum.show(cells);
 }
 
-/// The least columns of a sparkline.
+/// The least width of a sparkline, in columns.
 const LEAST: u16 = 5;
-/// The most columns of a sparkline.
+/// The greatest width of a sparkline, in columns.
 const MOST: u16 = 20;
 
-/// Draws, in the free columns from `free.0` to before `free.1`, the messages a second and the least slack of a node.
+/// Draws sparklines of a node into the free columns from `free.0` to before `free.1`: its messages per second, and its
+/// least slack.
 pub(super) fn sparklines(app: &App, row: &Row, free: (u16, u16), y: u16, canvas: &mut Canvas<'_>) {
     let incarnation = row.place.node.ok().and_then(|id| app.store().incarnation(id));
     let Some(incarnation) = incarnation else { return };

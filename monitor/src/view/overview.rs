@@ -39,7 +39,7 @@ pub(super) fn draw(
     let width = canvas.part(list).beside_scrollbar(1, window).area.width;
     let indent = 2.min(width);
     let inner = Rect { x: whole.x + indent, width: width - indent, ..list };
-    // Only visible rows are built, so that a cell of ten thousand ports costs no more.
+    // The cells of visible rows only are computed, so that a cell of ten thousand ports costs no more.
     let shown: Vec<_> = (rows.iter().enumerate().skip(window.first).take(height))
         .map(|(i, row)| (i, row, row_cells(app, row, (findings, blockers, &healthy), width, now)))
         .collect();
@@ -70,7 +70,7 @@ pub(super) fn draw(
     }
 }
 
-/// Draws the titles of the columns, each a target, and behind them the order and the position.
+/// Draws the titles of the columns, each a target of clicks, and behind them the sort order and the position.
 fn titles(app: &App, (columns, widths): (&[Column], &[u16]), position: &str, canvas: &mut Canvas<'_>) {
     let mut start = 0;
     for (column, width) in columns.iter().zip(widths) {
@@ -100,7 +100,7 @@ fn titles(app: &App, (columns, widths): (&[Column], &[u16]), position: &str, can
     canvas.corner(0, &texts, Ink::Head);
 }
 
-/// The findings, what blocks the cell, and the healthy nodes that have no rows of their own.
+/// The findings, the blocks of the cell, and the healthy nodes that have no rows of their own.
 type Known<'a> = (&'a [Finding], &'a [Blocker], &'a [IncarnationId]);
 
 fn row_cells(
@@ -119,7 +119,7 @@ fn row_cells(
     cells
 }
 
-/// The name of a place: `node.task.port`, as far as it goes.
+/// The name of a place: `node.task.port`, or a beginning of this.
 pub(crate) fn label(app: &App, place: Place) -> String {
     let store = app.store();
     if place == Place::HEALTHY {
@@ -174,7 +174,7 @@ fn cells(app: &App, row: &Row, findings: &[Finding], width: u16, now: Moment) ->
             }
         }
     }
-    // The health of what has ended is not known to be good. An earlier incarnation has no findings at all.
+    // The health of an ended node or task is not known to be good. An earlier incarnation has no findings at all.
     let ended = row.place.node.is_ok_and(|id| {
         let earlier =
             app.store().incarnation(id).is_some_and(|incarnation| !app.store().is_present(incarnation));

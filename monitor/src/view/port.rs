@@ -11,7 +11,7 @@ use crate::store::{NodeIncarnation, PortInfo};
 use crate::theme::Ink;
 use imrs_protocol::{Class, PortView, TaskId};
 
-/// The number of rows above the table. A low screen has only the description and the counters there.
+/// The number of rows above the table of messages. On a low screen these are only the description and the counters.
 const fn above(height: u16) -> u16 {
     if height < 14 { 2 } else { 5 }
 }
@@ -74,7 +74,7 @@ fn shares(incarnation: &NodeIncarnation, served: Option<&Service>, canvas: &mut 
     canvas.line(2, &pieces);
 }
 
-/// Draws, for a watched port that competes with others, how often it was bypassed, and its limit (D58).
+/// Draws, for a watched port that competes with other ports, how often it was bypassed, and the limit of that (D58).
 fn bypassed(
     incarnation: &NodeIncarnation,
     task: TaskId,
@@ -92,7 +92,7 @@ fn bypassed(
     }
 }
 
-/// Draws the fill of the buffer over time, and the slack of its most urgent messages.
+/// Draws how many messages were queued over time, and the slack of the most urgent of them.
 fn fill(app: &App, view: &PortView, served: Option<&Service>, canvas: &mut Canvas<'_>) {
     let Some(served) = served else { return };
     let heights = app.theme.glyphs.heights;
@@ -171,7 +171,7 @@ fn counters(view: &PortView, canvas: &mut Canvas<'_>) {
     canvas.line(1, &pieces);
 }
 
-/// The queue of a port, with the data for its verdicts.
+/// The queue of a port, with the data that decide about the verdicts on its messages.
 struct Queue<'a> {
     app: &'a App,
     incarnation: &'a NodeIncarnation,
@@ -182,7 +182,7 @@ struct Queue<'a> {
     whole_us: u64,
 }
 
-/// With this many rejections by rank a message starves.
+/// A message that was rejected by rank this often starves.
 const STARVING: u32 = 3;
 
 impl Queue<'_> {
@@ -228,7 +228,7 @@ impl Queue<'_> {
         self.hidden(window.first + room, canvas);
     }
 
-    /// Shows at the right of the titles how many rows are below.
+    /// Shows at the right of the titles how many rows below have no room.
     fn hidden(&self, shown: usize, canvas: &mut Canvas<'_>) {
         let hidden = usize::from(self.view.len).max(self.waiting.len()).saturating_sub(shown);
         if hidden > 0 && canvas.height() > 0 {
@@ -236,7 +236,7 @@ impl Queue<'_> {
         }
     }
 
-    /// Place, source, id, class, time left, bar, age, rejections, verdict, back-off.
+    /// The cells of a message: place, source, id, class, time left, bar, age, rejections, verdict, back-off.
     fn cells(&self, at: usize, waiting: &Waiting, bar_width: u16) -> [(String, Ink); 10] {
         let (entry, left) = (&waiting.entry, waiting.left);
         let known = self.served.map_or(0, |s| s.rejections(entry.source, entry.id.sequence.get()));
@@ -266,7 +266,8 @@ impl Queue<'_> {
         ]
     }
 
-    /// A bar: the remaining time, the back-off beyond it, and a mark at the forecast of completion.
+    /// A bar: the remaining time, the time until a rejected message is offered again, and a mark at the forecast of
+    /// completion.
     fn bar(&self, width: u16, waiting: &Waiting, done_us: Option<u64>) -> String {
         let signs = self.app.theme.glyphs;
         let incarnation = bar(&self.app.theme, width, waiting.left.us, self.whole_us);
@@ -292,7 +293,7 @@ impl Queue<'_> {
         let left_us = waiting.left.us;
         let status = waiting.entry.class == Class::Status;
         let full = self.view.len >= self.view.capacity && self.view.capacity > 0;
-        // Only class-1 messages are evicted, the least urgent first.
+        // Only class-1 messages are evicted, the least urgent one first.
         let last = self.waiting.iter().rposition(|w| w.entry.class == Class::Status) == Some(at);
         let capped = waiting.held.is_some_and(|held| held.capped);
         match done_us {

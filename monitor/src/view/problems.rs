@@ -54,7 +54,7 @@ pub(super) fn draw(
     }
     for (y, (i, row)) in (1..).zip(rows.iter().enumerate().skip(window.first).take(room)) {
         let mut cells = cells(app, row);
-        // The task and the port say more than the node, if there is no room for all three.
+        // The task and the port are more important than the node, if there is no room for all three.
         if canvas.area.width < 60
             && let Some((_, rest)) = cells[1].0.split_once('.')
         {

@@ -1,4 +1,4 @@
-//! Screen 3: a card for each rendezvous, with a matrix of known arrivals.
+//! Screen 3: a card for each rendezvous, with a matrix that shows which member knows of which arrival.
 
 use super::canvas::{Canvas, bar, fit};
 use crate::app::App;
@@ -34,11 +34,11 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
 fn place_of(app: &App, cell: &Name, task: TaskId) -> Option<Place> {
     let home = app.store().names(cell)?.home(task)?;
     let node = app.store().latest(cell, home).map(|incarnation| incarnation.id).ok_or(home);
-    // Of a node that was never seen there is only the row of the node.
+    // For a node that the monitor has never seen, the overview has only the row of the node itself.
     Some(Place { node, task: node.is_ok().then_some(task), port: None })
 }
 
-/// The lines of all cards, and the place that each is about.
+/// The lines of all cards. For each line, the place that it is about.
 fn cards(app: &App, now: Moment, width: u16) -> (Vec<Line>, Vec<Option<Place>>) {
     let Some(cell) = app.cell() else { return (Vec::new(), Vec::new()) };
     let (mut lines, mut places) = (Vec::new(), Vec::new());
@@ -76,10 +76,10 @@ fn cards(app: &App, now: Moment, width: u16) -> (Vec<Line>, Vec<Option<Place>>) 
     (lines, places)
 }
 
-/// Below this width there are no titles and no matrix.
+/// On a screen that is narrower than this, there are no titles and no matrix.
 const NARROW: u16 = 60;
 
-/// The statistics of the last rounds.
+/// The lines with the statistics of a rendezvous's last rounds.
 fn past(app: &App, cell: &Name, meeting: &Meeting, width: u16) -> Vec<Line> {
     let Some(history) = history(app.store(), cell, meeting.port) else { return Vec::new() };
     let told = history.summary(meeting.members.len());
@@ -108,10 +108,10 @@ fn past(app: &App, cell: &Name, meeting: &Meeting, width: u16) -> Vec<Line> {
     vec![line]
 }
 
-/// The members: titles, a row for each, and a line for each that can never arrive.
+/// The lines of the members: titles, a row for each member, and a line for each member that can never arrive.
 fn card(app: &App, meeting: &Meeting, width: u16, lines: &mut Vec<Line>) {
     let narrow = width < NARROW;
-    // A matrix of many members does not fit. The rows name the awaited members anyway.
+    // A matrix of many members has no room. The rows name the awaited members in any case.
     let matrix = !narrow && meeting.members.len() * 5 <= usize::from(width) / 3;
     if !narrow {
         lines.push(titles(meeting, matrix));

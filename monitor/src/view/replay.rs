@@ -1,4 +1,4 @@
-//! What a recording adds to every screen: the position in it, and the events of the step.
+//! What every screen shows in addition if a recording is shown: the position in the recording, and the events of the step.
 
 use super::canvas::Canvas;
 use crate::replay::{Player, tell};
@@ -14,7 +14,7 @@ pub(super) fn head(player: &Player, pieces: &mut Vec<(String, Ink)>) {
     pieces.push((position, Ink::Plain));
 }
 
-/// How many rows the panel takes on a screen of this height.
+/// How many rows the panel with these lines takes on a screen of this height.
 pub(super) fn rows(player: &Player, height: u16) -> u16 {
     match (player.step(), &player.film().notice) {
         (None, None) => 0,

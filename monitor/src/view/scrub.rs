@@ -1,5 +1,5 @@
-//! The scrub bar above the bottom line, while the screen is paused or shows a recording: the whole of it, where
-//! something went wrong, and the position shown. A click moves there.
+//! The scrub bar above the bottom line, while the screen is paused or shows a recording: the whole length, the places
+//! at which something went wrong, and the position shown. A click on the bar moves the position.
 
 use super::canvas::{Canvas, columns};
 use crate::app::App;
@@ -9,10 +9,10 @@ use crate::replay::Ribbon;
 use crate::theme::Ink;
 use std::borrow::Cow;
 
-/// The texts about the keys, longest first.
+/// The hints at the keys of the bar, longest first.
 const KEYS: [&str; 3] = ["  [ ] step  { } trouble  Home End  space ", "  [ ] { } space ", ""];
 
-/// The ribbon shown, and the place in it.
+/// The data that the scrub bar draws, and the shown position on it.
 fn ribbon(app: &App, now: Moment) -> Option<(Cow<'_, Ribbon>, u64)> {
     if let Some(player) = app.replay().or(app.gone_back()) {
         let ribbon = Ribbon::of(player.film());
@@ -23,7 +23,7 @@ fn ribbon(app: &App, now: Moment) -> Option<(Cow<'_, Ribbon>, u64)> {
     Some((Cow::Borrowed(ribbon), ribbon.moment(now)))
 }
 
-/// How many rows the bar takes.
+/// How many rows the bar takes on a screen of this height.
 pub(super) fn rows(app: &App, height: u16) -> u16 {
     let is_shown = app.replay().is_some() || app.ribbon().is_some();
     u16::from(is_shown && height >= 8)
@@ -33,7 +33,7 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let Some((ribbon, place)) = ribbon(app, now).filter(|_| canvas.height() > 0) else { return };
     let width = canvas.area.width;
     let (at, end) = ribbon.labels(place);
-    // The position changes its length, and the bar must not move with it.
+    // The text of the position has a fixed width, so that the bar stays in place when the position changes.
     let at = format!(" {at:>6} ");
     let end = format!(" {end}");
     let fixed = columns(&at) + columns(&end) + 2;

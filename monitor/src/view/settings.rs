@@ -1,4 +1,4 @@
-//! The settings of the running monitor, over the screen from which they were opened.
+//! The window with the settings of the running monitor, over the screen from which it was opened.
 
 use super::canvas::Canvas;
 use crate::app::{App, Setting};
@@ -9,10 +9,10 @@ use ratatui::widgets::{Block, Clear, Widget};
 
 /// The width of the window, if it has room.
 const WIDTH: u16 = 76;
-/// The columns of the names and of the values.
+/// The width of the column with the values.
 const VALUE: u16 = 14;
 
-/// The border of the window without signs beyond ASCII.
+/// The border of the window for themes with nothing but ASCII.
 const ASCII: border::Set<'static> = border::Set {
     top_left: "+",
     top_right: "+",
@@ -44,7 +44,7 @@ pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
     if width < 4 || height < 3 {
         return;
     }
-    // Nothing behind the window takes a click.
+    // A click on the window must not select anything behind it.
     canvas.drawn.forget();
     let mut inner = canvas.part(Rect { x: area.x + 1, y: area.y + 1, width: width - 2, height: height - 2 });
     let room = usize::from(inner.height());

@@ -1,4 +1,4 @@
-//! The figures of a row of the overview: a port's, or the sums over the ports of tasks.
+//! The numbers in a row of the overview: those of a port, or sums over the ports of tasks.
 
 use super::columns::Cells;
 use crate::app::App;
@@ -9,7 +9,7 @@ use crate::theme::Ink;
 use imrs_protocol::{PortCounters, PortView, TaskId, Usage};
 use imrs_wire::obs::TaskSnapshot;
 
-/// Queue, least slack, rate and counters.
+/// The sums over ports: queued messages, least slack, rate and counters.
 #[derive(Default)]
 pub(super) struct Sum {
     len: u64,
@@ -61,12 +61,13 @@ impl Sum {
     }
 }
 
-/// A rate, rounded.
+/// A rate as text, rounded.
 pub(super) fn per_second(rate: Option<f64>) -> String {
     rate.map_or_else(|| "-".to_owned(), |rate| format!("{rate:.0}"))
 }
 
-/// Expired, refused or evicted, rejected, sent again, timed out: since the start or the mark, and in the last seconds.
+/// Five counters of a port: expired, refused or evicted, rejected, sent again, timed out. `all` counts since the start
+/// or the mark, `lately` in the last seconds.
 #[derive(Default)]
 pub(super) struct Counts {
     all: [u64; 5],
@@ -93,7 +94,7 @@ impl Counts {
             let now = five(&view.counters);
             return Self { all: std::array::from_fn(|i| now[i].saturating_sub(before[i])), lately: [0; 5] };
         }
-        // A node that sends no states any more has no last seconds.
+        // A node that no longer sends its state has no counts of the last seconds.
         let is_fresh = incarnation.last.as_ref().is_some_and(|last| now.saturating_sub(last.at) < WINDOW);
         let is_here = is_fresh && !incarnation.presence(now).is_gone();
         let grown = is_here.then(|| incarnation.recent.grown(task, view.port, &view.counters));
@@ -107,7 +108,7 @@ impl Counts {
         }
     }
 
-    /// Shows what has grown in the last seconds as `+3`, and otherwise the whole count.
+    /// Shows a counter that has grown in the last seconds as `+3`, and any other counter as its whole count.
     pub(super) fn show(&self, cells: &mut Cells) {
         for (cell, (all, lately)) in cells[5..10].iter_mut().zip(self.all.iter().zip(&self.lately)) {
             *cell = match (*lately, *all) {

@@ -18,9 +18,9 @@ const AXIS: u16 = 11;
 /// The least width of a lane.
 const LANE: u16 = 24;
 
-/// The least height with a line of its own for what the corner says.
+/// On a screen of at least this height, the text of the corner has a line of its own.
 const TALL: u16 = 8;
-/// How many rows below the screen may still limit the times on it.
+/// How many rows below the screen are considered when the times on it are computed.
 const BELOW: usize = 64;
 
 pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
@@ -36,7 +36,7 @@ pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
     corner(app, &chart, canvas);
 }
 
-/// Whether a screen of this width lists the events of all lanes below each other.
+/// Whether a screen of this width is too narrow for lanes, so that it lists the events of all lanes below each other.
 const fn is_list(width: u16) -> bool {
     width < AXIS + LANE + 20
 }
@@ -97,7 +97,7 @@ fn lanes(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
     }
 }
 
-/// Shows above the lanes the zoom, and whether the screen follows new rows.
+/// Writes the zoom into the corner above the lanes, and whether the screen follows new rows.
 fn corner(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
     let cell = app.cell();
     let incarnations = cell.iter().flat_map(|cell| app.store().present(cell));
@@ -119,12 +119,12 @@ fn corner(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
     canvas.corner(0, &texts, if chart.held { Ink::Warn } else { Ink::Dim });
 }
 
-/// The time of a row on the clock of the selected lane's node.
+/// The time of a row on the clock of the node of the selected lane.
 #[derive(Clone, Copy)]
 struct Time {
-    /// Microseconds since the latest start of the node; negative before it.
+    /// Microseconds since the latest start of the node; negative before that start.
     us: i64,
-    /// Whether the node's own clock says so, not an estimate.
+    /// Whether the time comes from the node's own clock; otherwise it is an estimate.
     exact: bool,
 }
 
@@ -143,8 +143,8 @@ impl std::fmt::Display for Time {
 }
 
 /// The times of `count` rows from `first` on. The order of events on different nodes is an estimate, but an effect is
-/// never above its cause. So where the clocks contradict the order, an estimated time gives way to the times below it,
-/// and no time is above an earlier one.
+/// never above its cause. So if the clocks contradict the order, an estimated time is reduced to the times below it,
+/// and the times never decrease downwards.
 fn times(app: &App, chart: &Chart, first: usize, count: usize) -> Vec<Option<Time>> {
     let incarnation = chart.lanes.get(chart.lane).and_then(|task| app.incarnation_of_task(*task));
     let time = |row: &Slice| {
@@ -188,7 +188,7 @@ impl Sheet {
         Self { first, count, width: room / u16::try_from(count).unwrap_or(1).max(1) }
     }
 
-    /// The column of a lane, or of the edge if it is hidden, and whether it is visible.
+    /// The screen column of a lane, or of the edge if the lane is hidden. Also returns whether the lane is visible.
     fn x(&self, lane: usize) -> (u16, bool) {
         let at = lane.saturating_sub(self.first).min(self.count);
         let x = AXIS + u16::try_from(at).unwrap_or(0).saturating_mul(self.width);
@@ -202,7 +202,7 @@ impl Sheet {
         let names = app.cell().and_then(|cell| app.store().names(&cell).cloned());
         for (at, task) in chart.lanes.iter().enumerate().skip(self.first).take(self.count) {
             let (x, _) = self.x(at);
-            // The last head leaves room for the number of lanes to the right.
+            // The heading of the last visible lane leaves room for the number of hidden lanes to the right.
             let last = after > 0 && at + 1 == self.first + self.count;
             let width = if last { self.width.saturating_sub(columns(&more)) } else { self.width };
             let incarnation = app.incarnation_of_task(*task);
@@ -258,14 +258,14 @@ impl Sheet {
         }
     }
 
-    /// How many of the marks are in lanes to the left and to the right of those in sight.
+    /// How many of the marks are in hidden lanes to the left of the visible ones, and how many in those to the right.
     fn sides(&self, chart: &Chart, marks: &[&Mark]) -> (usize, usize) {
         let lanes = || marks.iter().filter_map(|mark| chart.lane_of(mark.task));
         let left = lanes().filter(|lane| *lane < self.first).count();
         (left, lanes().filter(|lane| *lane >= self.first + self.count).count())
     }
 
-    /// Marks at the edges of a row how many of its events are in hidden lanes there.
+    /// Writes at the edges of a row how many of its events are in the hidden lanes on that side.
     fn beside(&self, app: &App, chart: &Chart, marks: &[&Mark], y: u16, canvas: &mut Canvas<'_>) {
         let (left, right) = self.sides(chart, marks);
         if left > 0 {
@@ -318,7 +318,7 @@ impl Sheet {
         canvas.at(AXIS + 1 + x, y, room, &text, if is_bad { ink(mark.seen.what.event) } else { Ink::Dim });
     }
 
-    /// Draws the arrow of a message in the row of its arrival, around the text there.
+    /// Draws the arrow of a message in the row of its arrival, around the text of that row.
     fn way(
         &self,
         app: &App,
@@ -351,7 +351,7 @@ fn mark_taken(taken: &mut [bool], from: u16, to: u16) {
     }
 }
 
-/// Joins as many texts as fit, with the number of omitted ones. At least a part of the first one is shown.
+/// Joins as many texts as fit, with the number of omitted ones. At least a part of the first text is shown.
 fn several(texts: impl ExactSizeIterator<Item = String>, room: u16) -> String {
     let all = texts.len();
     let (mut out, mut shown) = (String::new(), 0);

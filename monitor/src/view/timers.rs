@@ -10,18 +10,18 @@ use crate::theme::Ink;
 use imrs_protocol::{Event, PortId, TaskId, TaskState, TimeId};
 use ratatui::layout::Rect;
 
-/// A timer or a wait.
+/// A timer of a node, or a wait of a task.
 struct Entry {
     owner: TaskId,
     id: String,
     kind: &'static str,
-    /// Its full duration in microseconds; `None` if unknown.
+    /// The full duration of the timer or wait in microseconds; `None` if unknown.
     length_us: Option<u64>,
     left: Left,
     what: String,
 }
 
-/// A line of the screen.
+/// A line of the timer screen.
 pub(super) enum Line {
     /// A node and its timers; how late they are.
     Node(String, String, Ink),
@@ -88,7 +88,7 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     }
 }
 
-/// All lines of the screen, and the node or task that each is about.
+/// All lines of the screen. For each line, the node or task that it is about.
 fn lines(app: &App, now: Moment) -> Vec<(Line, Option<Place>)> {
     let Some(cell) = app.cell() else { return Vec::new() };
     let store = app.store();
@@ -120,7 +120,7 @@ fn lines(app: &App, now: Moment) -> Vec<(Line, Option<Place>)> {
     lines
 }
 
-/// The lateness of the Timer, if the node reported it.
+/// A text about the lateness of the node's Timer, if the node has reported it.
 fn lateness(incarnation: &NodeIncarnation) -> (String, bool) {
     let Some(told) = &incarnation.vitals else { return ("late: -".to_owned(), false) };
     let timer = told.what.timer;
@@ -140,7 +140,7 @@ fn line(incarnation: &NodeIncarnation, entry: Entry, gone: bool) -> Line {
     let tight = entry.length_us.is_some_and(|length| entry.left.us < length / 10);
     let ink = match (gone, entry.left.us, tight) {
         (true, _, _) => Ink::Dim,
-        // A delay or timer is meant to expire; a wait is not.
+        // A delay or timer is meant to expire. For a wait, expiring is a bad sign.
         (false, 0, _) if entry.kind != "timer" && entry.kind != "delay" => Ink::Bad,
         (false, _, true) if entry.kind != "timer" && entry.kind != "delay" => Ink::Warn,
         (false, _, _) => Ink::Plain,
@@ -164,7 +164,7 @@ fn entries(incarnation: &NodeIncarnation, trail: &Trail, now: Moment) -> Vec<Ent
     let Some(last) = &incarnation.last else { return found };
     let timers = &last.snapshot.timers;
     for timer in timers {
-        // A task's delays have higher ids than its timers, in scripts and in programs.
+        // In scripts and in programs, the id of a task's delay is higher than the ids of its timers.
         let of_owner = timers.iter().filter(|t| t.owner == timer.owner);
         let last_name = of_owner.map(|t| t.id).max() == Some(timer.id);
         let delays = incarnation.task(timer.owner).is_some_and(|t| t.view.state == TaskState::Delaying);

@@ -1,4 +1,4 @@
-//! Short descriptions of observations, for lanes and tables.
+//! Short texts about observations, for the lanes of the timeline and for tables.
 
 use crate::store::Names;
 use crate::store::journal::{Severity, level_of};
@@ -6,7 +6,7 @@ use crate::store::timeline::Mark;
 use crate::theme::{Ink, Theme};
 use imrs_protocol::{Event, Observation};
 
-/// A very short description: `> beat#12` arrived, `beat#12 >` was sent, `* lift r3` is a rendezvous, `x` a loss, `^` a
+/// A very short text: `> beat#12` arrived, `beat#12 >` was sent, `* lift r3` is a rendezvous, `x` a loss, `^` a
 /// rejection.
 pub(super) fn short(mark: &Mark, names: &Names, theme: &Theme) -> String {
     let Observation { event, port, peer, number, .. } = mark.seen.what;

@@ -17,7 +17,7 @@ pub const CROWD_DEATH: Duration = ms(6_200);
 /// When the last states of the crowd arrive.
 pub const CROWD_NOW: Duration = ms(9_000);
 
-/// The state of a node of the crowd in which no message waits, so that none can be late.
+/// The state of a node of the large cell in which no message waits, so that none can be late.
 fn calm(node: u16) -> Snapshot {
     let mut state = CROWD.snapshot(node);
     for port in state.tasks.iter_mut().flat_map(|task| &mut task.view.ports) {
@@ -27,8 +27,8 @@ fn calm(node: u16) -> Snapshot {
     state
 }
 
-/// Adds what happens to a node of the crowd in a tenth of a second: its first task takes a message, more of them with
-/// the number of the node.
+/// Adds the events of a tenth of a second at a node of the large cell. Its first task takes messages; nodes with higher
+/// numbers take more.
 fn go_on(state: &mut Snapshot, node: u16, period: u64) {
     state.mono_us += 100_000;
     state.uptime_us += 100_000;
@@ -39,7 +39,7 @@ fn go_on(state: &mut Snapshot, node: u16, period: u64) {
 }
 
 impl Stage {
-    /// The crowd after eight seconds. At the end, node 3 is dead, and messages expire and are refused at node 5.
+    /// The large cell after eight seconds. Node 3 is then dead, and messages expire and are refused at node 5.
     pub fn crowd(theme: Theme) -> Self {
         Self::crowd_for(theme, 80)
     }
@@ -72,7 +72,7 @@ impl Stage {
         stage
     }
 
-    /// A new incarnation of a node of the crowd.
+    /// A new incarnation of a node of the large cell.
     pub fn crowd_again(&mut self, at: Duration, node: u16, incarnation: u8) {
         let identity = NodeIdentity {
             cell: "specimen".into(),
@@ -88,7 +88,7 @@ impl Stage {
     }
 }
 
-/// Events of a node of the crowd: messages that are taken, one that expires, one that is rejected.
+/// Events of a node of the large cell: messages that are taken, one that expires, one that is rejected.
 fn happened(node: u16) -> Events {
     let own = TaskId(node * CROWD.tasks);
     let event = |n: u32| {

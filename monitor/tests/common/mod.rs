@@ -26,7 +26,7 @@ pub fn beam() -> Name {
     Name::new("beam-lift")
 }
 
-/// The codes of what is wrong in the sample cell.
+/// The codes of the findings in the sample cell.
 pub fn codes(store: &Store, now: Duration) -> Vec<&'static str> {
     findings(store, &beam(), now).iter().map(|f| f.code).collect()
 }
@@ -87,7 +87,7 @@ fn entry(source: u16, sequence: u32, ms: u64, class: Class) -> QueueEntry {
     QueueEntry { source: TaskId(source), id, class, remaining: Ticks(ms * 1000) }
 }
 
-/// The arms wait for the hoist in round 12, with 380 and 500 ms left; the hoist receives.
+/// The state of a node: the arms wait for the hoist in round 12, with 380 and 500 ms left; the hoist receives.
 pub fn snapshot(node: usize) -> Snapshot {
     let waiting = node < 2;
     let patience = Ticks([380_000, 500_000, 0][node]);
@@ -150,7 +150,7 @@ pub fn events(node: usize, list: &[Observation]) -> Events {
     Events { lost: 0, events: list.iter().enumerate().map(event).collect() }
 }
 
-/// Events with times of the node's own clock, in milliseconds. The snapshot is taken at 5,000.
+/// Events with times of the node's own clock, in milliseconds. The node's snapshot is taken at 5,000 ms.
 pub fn at(node: usize, list: &[(u64, Observation)]) -> Events {
     let event = |(ms, what): &(u64, Observation)| TimedEvent {
         mono_us: ms * 1_000,
@@ -165,8 +165,8 @@ pub fn left(event: Event, port: PortId, peer: u16, number: u32, ms: u64) -> Obse
     Observation { remaining: Ticks(ms * 1_000), ..observed(event, port, peer, number) }
 }
 
-/// The events of a busy second: beats that are queued, taken and answered, one rejection, a round in which the hoist is
-/// missing, and seventeen lost events.
+/// The events of a busy second: messages of the port `beat` that are queued, taken and answered, one rejection, a round
+/// in which the hoist is missing, and seventeen lost events.
 pub fn traffic() -> [Events; 3] {
     use Event::*;
     let arm_l = at(
@@ -210,7 +210,7 @@ pub const fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
 }
 
-/// The app, fed at given moments.
+/// An app that is given arrivals at chosen moments.
 pub struct Stage {
     pub app: App,
 }
@@ -244,7 +244,7 @@ impl Stage {
         self.feed(at, node, Feed::Lost { why: "the connection was closed".into() });
     }
 
-    /// All three nodes, attached at 1 s.
+    /// A stage with all three nodes, attached at 1 s.
     pub fn cell(theme: Theme) -> Self {
         let mut stage = Self::new(theme);
         for node in 0..3 {
@@ -253,7 +253,7 @@ impl Stage {
         stage
     }
 
-    /// The cell with the events of [`traffic`], a running timer and a running delay.
+    /// A stage with the events of [`traffic`], a running timer and a running delay.
     pub fn busy(theme: Theme) -> Self {
         let mut stage = Self::cell(theme);
         for (node, events) in traffic().into_iter().enumerate() {
@@ -287,14 +287,14 @@ impl Stage {
         self.app.update(Msg::Key(KeyEvent::new(KeyCode::Char(c), KeyModifiers::CONTROL)), now)
     }
 
-    /// Draws as the main loop does: the app learns the layout of the frame.
+    /// Draws a frame as the main loop does, so that the app learns the frame's layout.
     pub fn draw(&mut self, now: Duration, width: u16, height: u16) -> Buffer {
         let mut buffer = Buffer::empty(Rect::new(0, 0, width, height));
         imrs_monitor::view::show(&mut self.app, now, &mut buffer);
         buffer
     }
 
-    /// Types keys, and draws after each as a person sees it.
+    /// Types keys, and draws a frame after each key, as for a person.
     pub fn typed(&mut self, now: Duration, (width, height): (u16, u16), text: &str) -> String {
         for c in text.chars() {
             self.draw(now, width, height);
@@ -325,7 +325,7 @@ pub fn text(buffer: &Buffer) -> String {
     out
 }
 
-/// The runs of cells with a style other than the default, one per line: row, columns, style.
+/// The screen cells with another style than the default, one run of equal style per line: row, columns, style.
 pub fn styles(buffer: &Buffer) -> String {
     let mut out = String::new();
     for y in 0..buffer.area.height {
@@ -347,7 +347,7 @@ pub fn styles(buffer: &Buffer) -> String {
     out
 }
 
-/// Opens a stopped recording once its end is on disk: a busy disk may take longer than the stop waits.
+/// Opens a recording that was stopped, once its end record is on the disk: a busy disk may take longer than the stop waits.
 pub fn whole_film(path: &Path) -> Film {
     let end = Instant::now() + Duration::from_secs(120);
     loop {

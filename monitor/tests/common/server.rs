@@ -1,4 +1,4 @@
-//! A fake node: serves the observation protocol from a thread, well or badly.
+//! A fake node: it serves the observation protocol from a thread, correctly or with faults.
 
 use super::{identity, snapshot, table};
 use imrs_wire::obs::{
@@ -50,7 +50,7 @@ impl Peer {
         stream.write_all(bytes).unwrap();
     }
 
-    /// Does the handshake, the table and the subscription. Returns the credit.
+    /// Does the handshake, sends the table, and reads the subscription. Returns the subscription's credit.
     pub fn greet(&mut self, node: usize) -> Result<u16, FrameError> {
         self.hello(node, VERSION, SCHEMA)?;
         self.say(&ServerFrame::Table(table()))?;
@@ -67,7 +67,7 @@ impl Peer {
         }
     }
 
-    /// As [`serve`](Self::serve), after the handshake.
+    /// As [`serve`](Self::serve), for a connection after its handshake.
     pub fn serve_on(&mut self, node: usize, mut credit: u16) {
         loop {
             while credit > 0 {
@@ -87,8 +87,8 @@ impl Peer {
     }
 }
 
-/// Creates a socket in `base`. `each` serves every connection in a thread, until the test process ends. The folder
-/// belongs to the test.
+/// Creates a socket in `base`. `each` serves every connection in a thread of its own, until the test process ends. The
+/// folder must belong to the test.
 pub fn listen(base: &Path, node: &str, each: impl Fn(Peer) + Send + Clone + 'static) -> PathBuf {
     let path = place::prepare_in(base, "beam-lift", node, std::process::id()).unwrap();
     let listener = UnixListener::bind(&path).unwrap();

@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// Prints repeatedly until the output fulfils `is_so`: on a busy machine a node may not answer in time for one sample.
+/// Prints repeatedly until `is_so` accepts the output: on a busy machine a node may not answer in time for one sample.
 fn printed(options: &Options, is_so: impl Fn(&str) -> bool) -> (Verdict, String) {
     let end = Instant::now() + LIMIT;
     loop {
@@ -137,7 +137,7 @@ fn names_of_the_wire_are_printed_escaped_and_kept_in_json() {
     assert_eq!(json["nodes"][0]["name"], identity(0, 1).node);
 }
 
-/// Accepts output until it is `enough`, then acts like a closed pipe.
+/// A writer that accepts output until `enough` returns true, then acts like a closed pipe.
 struct Reader<F> {
     enough: F,
     taken: Arc<std::sync::Mutex<String>>,
@@ -158,7 +158,7 @@ impl<F: Fn(&str) -> bool> std::io::Write for Reader<F> {
     }
 }
 
-/// The output up to the line at which it is `enough`.
+/// The printed output up to the line at which `enough` returns true.
 fn print_until(options: Options, enough: impl Fn(&str) -> bool + Send + 'static) -> String {
     let taken = Arc::new(std::sync::Mutex::new(String::new()));
     let mut out = Reader { enough, taken: taken.clone() };
@@ -202,7 +202,7 @@ fn lines_say_what_happens_while_it_happens() {
         peer.say(&ServerFrame::Snapshot(snapshot(0))).unwrap();
         for round in 12.. {
             thread::sleep(Duration::from_millis(50));
-            // Alternate two kinds, so that the journal does not merge them.
+            // The events alternate between two kinds, so that the journal does not combine them.
             let event = if round % 2 == 0 { Event::GaveUp } else { Event::PartnerAborted };
             let happened = observed(event, LIFT, 2, round);
             if peer.say(&ServerFrame::Events(events(0, &[happened]))).is_err() {
@@ -216,7 +216,7 @@ fn lines_say_what_happens_while_it_happens() {
     };
     let out = print_until(options, move |out| out.lines().any(says));
     assert!(out.lines().last().is_some_and(says), "{out}");
-    // If the machine was stalled before the first sample, the node is silent.
+    // If the machine stood still before the first sample, the node counts as silent.
     let stood = out.contains("node nl: up") || out.contains("node nl: SILENT");
     assert!(stood, "how it stood comes first: {out}");
 }

@@ -43,7 +43,7 @@ pub enum CellError {
         port: String,
         /// The period of the declared rate.
         per: Ticks,
-        /// The smallest allowed value.
+        /// The shortest period that is allowed.
         least: Ticks,
     },
     /// A user declares another class than the owner (D9).
@@ -76,7 +76,7 @@ pub enum CellError {
         couple: String,
         /// The declared lease.
         lease: Ticks,
-        /// The smallest allowed value.
+        /// The shortest lease that is allowed.
         least: Ticks,
     },
     /// The standby may take over while the primary still acts (D61).
@@ -85,7 +85,7 @@ pub enum CellError {
         couple: String,
         /// The declared time until the take-over.
         takeover: Ticks,
-        /// The smallest allowed value.
+        /// The shortest time until the take-over that is allowed.
         least: Ticks,
     },
     /// The time_out cannot cover the link delays: to the peer and, for a class-2 message, back.

@@ -13,7 +13,7 @@ use crate::table::{Ends, NodeTable};
 use crate::task::{CommTask, Get, Outbox};
 use alloc::collections::VecDeque;
 
-/// What a request is about that a task may take as one fused step with another task of its node (D176).
+/// What a request concerns that one fused step may carry out: one other task of the same node (D176).
 #[derive(Clone, Copy, Debug)]
 pub struct Fusible<'a> {
     ends: Ends<'a>,
@@ -22,7 +22,7 @@ pub struct Fusible<'a> {
 }
 
 impl<'a> Fusible<'a> {
-    /// What `request` of `task` is about. `None` if it concerns no other task of the node, or several.
+    /// What `request` of `task` concerns. `None` if the request concerns no other task of the node, or several.
     #[must_use]
     #[inline(always)]
     pub fn of(table: &'a NodeTable, task: TaskId, request: &Request) -> Option<Self> {
@@ -79,8 +79,8 @@ impl<'a> Fusible<'a> {
 }
 
 impl Node {
-    /// Takes a request as one fused step with the other tasks that it concerns (D176, D193); [`step`](Self::step) does so by itself.
-    /// False, and nothing has changed, if anything about it is unusual.
+    /// Takes a request as one fused step with the other tasks that it concerns (D176, D193); [`step`](Self::step) does so
+    /// by itself. Returns false, and changes nothing, if the request needs small steps.
     pub fn fuse(&mut self, task: TaskId, request: &Request, out: &mut impl NodeOutbox) -> bool {
         let Parts { table, tasks, .. } = &mut self.parts;
         let Some(fusible) = Fusible::of(table, task, request) else {

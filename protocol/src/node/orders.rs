@@ -51,7 +51,8 @@ impl Node {
                 // A packet for a task of this node comes back as an input of that task.
                 Work::Route(_) => self.carry_out(work, out),
                 Work::Arm(task, id, ..) | Work::Disarm(task, id) => {
-                    // The task ignores a time-out of an earlier start, and a packed state cannot hold one.
+                    // The task ignores a time-out of an earlier start of this delay or timer, and a packed state cannot
+                    // hold such a time-out.
                     inputs.retain(|input| !input.is_word_of(task, id));
                     self.carry_out(work, out);
                 }
@@ -77,7 +78,7 @@ impl Node {
         (0..self.work.len()).filter(is_open)
     }
 
-    /// How many inputs are queued, once everything else is [filed](Self::file).
+    /// How many inputs are queued, once all other effects are [filed](Self::file).
     #[must_use]
     pub fn inputs(&self) -> usize {
         self.work.len()
@@ -112,7 +113,7 @@ impl Node {
 }
 
 impl Work {
-    /// The task that takes it, and what kind of input it is.
+    /// The task that takes this work as an input, and the kind of that input.
     const fn stream(&self) -> (Option<TaskId>, Kind) {
         match self {
             Self::Pass(task, _) => (Some(*task), Kind::Time),
@@ -122,7 +123,7 @@ impl Work {
         }
     }
 
-    /// Whether it is the time-out of this delay or timer of the task.
+    /// Whether this work is the time-out of this delay or timer of the task.
     fn is_word_of(&self, task: TaskId, id: TimeId) -> bool {
         matches!(*self, Self::Task(of, Input::TimeOut { id: word, .. }) if (of, word) == (task, id))
     }

@@ -56,8 +56,8 @@ impl Work {
                 w.byte(&mut id.incarnation.0);
                 w.sequence(task, &mut id.sequence);
             }
-            // `turn` is the number of the timer's start, and is not packed: `Node::file` has dropped the time-outs of earlier starts,
-            // so a queued time-out always belongs to the last one.
+            // `turn` counts the starts of the timer, and is not packed: `Node::file` has dropped the time-outs of earlier
+            // starts, so a queued time-out always belongs to the timer's last start.
             Self::Task(_, Input::TimeOut { id, turn: _ }) => w.byte(&mut id.0),
             Self::Task(_, Input::PeerRestarted(node)) => w.small(&mut node.0),
             Self::Task(_, Input::Time | Input::Request(_))

@@ -50,8 +50,8 @@ proptest! {
 
     #[test]
     fn any_bytes_behind_a_right_checksum_are_a_packet_or_an_error(mut bytes: [u8; 32], digest: u32, hash: u32) {
-        // Most random bytes have another version or nonzero padding. So this sets the version, a length of at least 12 and
-        // the zero bit.
+        // Most random bytes have another version or nonzero padding. So the test sets the version, a length of at least 12
+        // and the zero bit.
         bytes[0] = (bytes[0] & 0x3f) | (PACKET_VERSION << 6);
         bytes[1] = (bytes[1] | 0xc0) & !1;
         let crc = checksum(&bytes, digest, hash);

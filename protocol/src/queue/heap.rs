@@ -140,8 +140,8 @@ impl Heap {
         self.groups.iter().flat_map(|Group(group)| group).skip(ROOT).take(self.len()).copied()
     }
 
-    /// Walks the heap from its root, parents before children, and skips the subtree below a number for which `is_in`
-    /// is false. If `is_in` means "before some instant", these are all such numbers.
+    /// Visits the heap from its root, parents before children, and skips the subtree below a number for which `is_in` is
+    /// false. If `is_in` means "before some instant", the visited numbers are all such numbers.
     pub fn upper(&self, is_in: impl Fn(Slot) -> bool) -> impl Iterator<Item = Slot> {
         let mut at = Some(ROOT);
         let taken = |at: usize| at < ROOT + self.len();
@@ -162,7 +162,7 @@ impl Heap {
         })
     }
 
-    /// The place that follows `place` in that walk if the subtree below `place` is skipped.
+    /// The place that follows `place` in the order of [`upper`](Self::upper) if the subtree below `place` is skipped.
     fn beside(&self, mut place: usize) -> Option<usize> {
         while place > ROOT {
             if place % 4 < 3 && place + 1 < ROOT + self.len() {

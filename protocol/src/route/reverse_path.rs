@@ -1,8 +1,8 @@
 //! The reverse-path check: whether a packet can have come from the neighbour that delivered it (insertion, masquerade).
 //!
-//! Routes are static (§5.2.3), so the path of every packet is known in advance. A neighbour that is not on that path and
-//! delivers the packet is faulty or forges the source. So a source is believed only from the neighbour through which its
-//! packets come.
+//! Routes are static (§5.2.3), so the path of every packet is known in advance. A neighbour that delivers a packet and is
+//! not on its path is faulty, or forges the source. So a packet is accepted only from the neighbour through which packets
+//! of its source come.
 //!
 //! While a table is replaced, the neighbour must be on a path on which each node routes by the one table or the other (D184).
 
@@ -37,7 +37,7 @@ pub(super) fn can_come(table: &NodeTable, from: NodeId, packet: &Packet) -> bool
     tables.iter().any(hands_over) && sources.followed(tables, destination).has(from)
 }
 
-/// Whether packets that `source` sends to `destination` come to this node from `from`.
+/// Whether packets that `source` sends to `destination` reach this node through the neighbour `from`.
 ///
 /// It would be wrong to compare `from` with the next hop back to the source: if two paths have the same length, the two
 /// directions may use different ones.
@@ -67,7 +67,7 @@ impl Nodes {
         self.0[node.index() / 64] >> (node.index() % 64) & 1 == 1
     }
 
-    /// Whether the node is new.
+    /// Whether the node was not in the set before.
     fn insert(&mut self, node: NodeId) -> bool {
         let is_new = !self.has(node);
         self.0[node.index() / 64] |= 1 << (node.index() % 64);
@@ -81,7 +81,8 @@ impl Nodes {
         Some(NodeId::from_index(at * 64 + bit))
     }
 
-    /// These nodes, and all that packets from them to `to` may pass if each node routes by any of the tables.
+    /// The nodes of this set, and all nodes that packets from them to `to` may pass if each node routes by any of the
+    /// tables.
     fn followed(mut self, tables: [&CellTable; 2], to: NodeId) -> Self {
         let mut open = self;
         while let Some(node) = open.take() {
@@ -168,7 +169,7 @@ mod tests {
     }
 
     proptest! {
-        /// In any cell every node on the path accepts what a node sends, and the refusals of relays.
+        /// In any cell every node on the path accepts the packets that a node sends, and the refusals of relays.
         #[test]
         fn nothing_that_keeps_to_its_way_is_dropped(
             tree in proptest::collection::vec((any::<u16>(), 0..3_u64), 6),

@@ -21,7 +21,7 @@ pub struct ProgramBuilder {
 }
 
 impl ProgramBuilder {
-    /// A program without code for the task of this name.
+    /// A program without code, for the task of this name.
     #[must_use]
     pub fn new(name: &str) -> Self {
         Self { program: Program { name: name.into(), ..Program::default() }, ..Self::default() }
@@ -33,7 +33,7 @@ impl ProgramBuilder {
         Slot::Task(position(self.program.variables.len()))
     }
 
-    /// Adds a variable of the handler that is being written; of the task, outside of handlers.
+    /// Adds a variable of the handler whose code is being built; outside of handlers, of the task.
     pub fn local(&mut self, name: &str, of: Type) -> Slot {
         let Some(handler) = self.handler.and_then(|at| self.program.handlers.get_mut(at)) else {
             return self.variable(name, of);
@@ -61,7 +61,7 @@ impl ProgramBuilder {
         at
     }
 
-    /// The number of the action of this name.
+    /// The number of the action of this name, which is added if it is new.
     pub fn action(&mut self, name: &str) -> u16 {
         entry(&mut self.program.actions, name.into())
     }
@@ -72,7 +72,7 @@ impl ProgramBuilder {
         position(self.program.actions.len())
     }
 
-    /// The number of the reason of this text.
+    /// The number of the abort reason with this text.
     pub fn reason(&mut self, text: &str) -> u16 {
         entry(&mut self.program.reasons, text.into())
     }
@@ -83,7 +83,7 @@ impl ProgramBuilder {
         Label(position(self.labels.len()))
     }
 
-    /// Puts a label here.
+    /// Puts the label at the next operation.
     pub fn put(&mut self, label: Label) {
         if let Some(place) = self.labels.get_mut(usize::from(label.0)) {
             *place = Some(position(self.program.code.len() + 1));
@@ -96,7 +96,7 @@ impl ProgramBuilder {
         position(self.program.code.len() + 1)
     }
 
-    /// Adds an operation that does not jump.
+    /// Adds this operation, which must not jump.
     pub fn op(&mut self, op: Op) -> &mut Self {
         self.program.code.push(op);
         self
@@ -107,12 +107,12 @@ impl ProgramBuilder {
         self.op(Op::Statement)
     }
 
-    /// Adds a constant.
+    /// Adds an operation that pushes a constant.
     pub fn push(&mut self, value: i64) -> &mut Self {
         self.op(Op::Term(Term::Push(value)))
     }
 
-    /// Adds the value of a variable.
+    /// Adds an operation that pushes the value of a variable.
     pub fn load(&mut self, slot: Slot) -> &mut Self {
         self.op(Op::Term(Term::Load(slot)))
     }
@@ -122,7 +122,7 @@ impl ProgramBuilder {
         self.op(Op::Term(Term::Int(operator)))
     }
 
-    /// Adds the storing of the last value.
+    /// Adds an operation that pops the last value into a variable.
     pub fn store(&mut self, slot: Slot) -> &mut Self {
         self.op(Op::Store(slot))
     }
@@ -142,24 +142,25 @@ impl ProgramBuilder {
         self.op(Op::On { outcomes, to: to.0 })
     }
 
-    /// `slot := value`.
+    /// Adds `slot := value`.
     pub fn set(&mut self, slot: Slot, value: i64) -> &mut Self {
         self.statement().push(value).store(slot)
     }
 
-    /// `order a > b > c`. With more levels than an `order` can name it is an empty one.
+    /// Adds `order a > b > c`. With more entries than an `order` can have, it is an empty `order`.
     pub fn order(&mut self, named: &[Ranked]) -> &mut Self {
         let order = entry(&mut self.program.orders, ServiceOrder::new(named).unwrap_or_default());
         self.statement().op(Op::Order(order))
     }
 
-    /// `send`, `use_send` or `query`: variables, one per field.
+    /// Adds `send`, `use_send` or `query`, with one variable for each field.
     pub fn send(&mut self, port: PortId, to: Target, fields: &[(Type, Slot)]) -> &mut Self {
         let format = self.arguments(fields);
         self.op(Op::Send { port, to, format, time_out: None })
     }
 
-    /// `receive port(..)` with this time_out. The message is unpacked; if none came, the variables keep their values.
+    /// Adds `receive port(..)` with this time_out, and unpacks the message. If no message came, the variables keep their
+    /// values.
     pub fn receive(&mut self, port: PortId, time_out: Option<Ticks>, into: &[(Type, Slot)]) -> &mut Self {
         self.statement().op(Op::Get { port: Some(port), source: None, time_out });
         self.unpack(into)
@@ -181,37 +182,37 @@ impl ProgramBuilder {
         self
     }
 
-    /// `reply` or `response`: variables, one per field.
+    /// Adds `reply` or `response`, with one variable for each field.
     pub fn reply(&mut self, fields: &[(Type, Slot)]) -> &mut Self {
         let format = self.arguments(fields);
         self.op(Op::Reply { format })
     }
 
-    /// `waitfor port()`.
+    /// Adds `waitfor port()`.
     pub fn waitfor(&mut self, port: PortId) -> &mut Self {
         self.waitfor_with(port, &[])
     }
 
-    /// `waitfor port(..)`: variables, one per field.
+    /// Adds `waitfor port(..)`, with one variable for each field.
     pub fn waitfor_with(&mut self, port: PortId, fields: &[(Type, Slot)]) -> &mut Self {
         let format = self.arguments(fields);
         self.op(Op::Arrive { port, format, time_out: None })
     }
 
-    /// Reads the arguments of a member at the waitfor; if they are not known, the variables keep their values.
+    /// Reads the arguments of a member at the waitfor; if the arguments are not known, the variables keep their values.
     pub fn arrival(&mut self, port: PortId, task: TaskId, into: &[(Type, Slot)]) -> &mut Self {
         let format = self.format_of(into);
         self.op(Op::Arrival { port, task, format });
         self.unpack_if(into)
     }
 
-    /// Reads what the partner of the couple published last; if that is nothing, the variables keep their values.
+    /// Reads what the partner of the couple published last; if it has published nothing, the variables keep their values.
     pub fn published(&mut self, into: &[(Type, Slot)]) -> &mut Self {
         self.op(Op::Published);
         self.unpack_if(into)
     }
 
-    /// Unpacks if the last value is true.
+    /// Adds an operation that unpacks if the last value is true.
     fn unpack_if(&mut self, into: &[(Type, Slot)]) -> &mut Self {
         let format = self.format_of(into);
         let places: Vec<Slot> = into.iter().map(|&(_, slot)| slot).collect();
@@ -221,29 +222,29 @@ impl ProgramBuilder {
         })
     }
 
-    /// `delay`.
+    /// Adds `delay`.
     pub fn delay(&mut self, length: Ticks) -> &mut Self {
         self.statement().op(Op::Delay(length))
     }
 
-    /// `start timer`.
+    /// Adds `start timer`.
     pub fn start(&mut self, timer: TimeId, length: Ticks) -> &mut Self {
         self.statement().op(Op::Start { timer, length })
     }
 
-    /// `run action takes least .. most`.
+    /// Adds `run action takes least .. most`.
     pub fn run(&mut self, name: &str, least: Ticks, most: Ticks) -> &mut Self {
         let action = self.action(name);
         self.statement().op(Op::Run { action, arguments: 0, least, most })
     }
 
-    /// `abort reason`.
+    /// Adds `abort reason`.
     pub fn abort(&mut self, reason: &str) -> &mut Self {
         let reason = self.reason(reason);
         self.statement().op(Op::Abort(reason))
     }
 
-    /// `loop .. end`, without an `exit`.
+    /// Adds `loop .. end`, without an `exit`.
     pub fn forever(&mut self, body: impl FnOnce(&mut Self)) -> &mut Self {
         let top = self.label();
         self.put(top);
@@ -251,7 +252,7 @@ impl ProgramBuilder {
         self.jump(top)
     }
 
-    /// `while slot do .. end`.
+    /// Adds `while slot do .. end`.
     pub fn while_true(&mut self, slot: Slot, body: impl FnOnce(&mut Self)) -> &mut Self {
         let (top, out) = (self.label(), self.label());
         self.put(top);
@@ -262,7 +263,7 @@ impl ProgramBuilder {
         self
     }
 
-    /// `.. on time_out do .. end` and its like, after a statement.
+    /// Adds `.. on time_out do .. end` or a similar branch, after a statement.
     pub fn when(&mut self, outcomes: Outcomes, body: impl FnOnce(&mut Self)) -> &mut Self {
         let (inside, on) = (self.label(), self.label());
         self.on(outcomes, inside).jump(on);
@@ -272,7 +273,7 @@ impl ProgramBuilder {
         self
     }
 
-    /// `if`, on the last value.
+    /// Adds `if`, which tests the last value.
     pub fn then(&mut self, body: impl FnOnce(&mut Self)) -> &mut Self {
         let on = self.label();
         self.unless(on);
@@ -281,7 +282,7 @@ impl ProgramBuilder {
         self
     }
 
-    /// `if .. else`, on the last value.
+    /// Adds `if .. else`, which tests the last value.
     pub fn either(&mut self, yes: impl FnOnce(&mut Self), no: impl FnOnce(&mut Self)) -> &mut Self {
         let (other, on) = (self.label(), self.label());
         self.unless(other);
@@ -293,7 +294,8 @@ impl ProgramBuilder {
         self
     }
 
-    /// `on .. do .. end`: a handler. Write it after the end of the body, so that no code runs into it.
+    /// Adds `on .. do .. end`: a handler. Call this after the end of the body, so that the body does not run into the
+    /// handler.
     pub fn handler(&mut self, trigger: Trigger, body: impl FnOnce(&mut Self)) -> &mut Self {
         let entry = self.here();
         self.program.handlers.push(Handler { trigger, entry, locals: Vec::new() });
@@ -303,7 +305,7 @@ impl ProgramBuilder {
         self.op(Op::HandlerEnd)
     }
 
-    /// `on query`, `on receive` with the variables of the message: their names and types.
+    /// Adds `on query` or `on receive`, with the names and types of the variables that take the message's fields.
     pub fn on_message(
         &mut self,
         port: PortId,
@@ -319,7 +321,7 @@ impl ProgramBuilder {
         })
     }
 
-    /// `takeover`: where the task continues in its partner's place. Write it after the end of the body.
+    /// Adds `takeover`: where the task continues in its partner's place. Call this after the end of the body.
     pub fn takeover(&mut self, body: impl FnOnce(&mut Self)) -> &mut Self {
         self.program.takeover = Some(self.here());
         body(self);
@@ -331,7 +333,7 @@ impl ProgramBuilder {
         self.op(Op::End)
     }
 
-    /// The checked program.
+    /// Returns the finished program, checked.
     ///
     /// # Errors
     /// What [`Program::check`] finds; a label that was never placed is [`ProgramError::NoSuchAddress`].
@@ -360,7 +362,7 @@ impl ProgramBuilder {
     }
 }
 
-/// The position of an entry in its table; a missing entry is added.
+/// The position of `wanted` in its table; a missing entry is added.
 fn entry<T: PartialEq>(table: &mut Vec<T>, wanted: T) -> u16 {
     let at = table.iter().position(|known| *known == wanted).unwrap_or(table.len());
     if at == table.len() {
@@ -369,7 +371,7 @@ fn entry<T: PartialEq>(table: &mut Vec<T>, wanted: T) -> u16 {
     position(at + 1)
 }
 
-/// The position of the last of `len` entries. A program that outgrows it fails its check.
+/// The position of the last of `len` entries. A program with more entries than a position can name fails its check.
 fn position(len: usize) -> u16 {
     u16::try_from(len - 1).unwrap_or(u16::MAX)
 }

@@ -11,25 +11,26 @@ use core::fmt;
 /// Why a program is malformed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProgramError {
-    /// More operations, handlers or timers than their numbers can name.
+    /// The program has more operations, handlers or timers than their numbers can name.
     TooLarge,
     /// The initial value of a variable is not of its type.
     Initial,
     /// A format is longer than 16 packets.
     Format(u16),
-    /// Two handlers for the same thing.
+    /// Two handlers have the same trigger.
     SameTrigger(Trigger),
-    /// A position in the code that does not exist, or the end of the code without an [`Op::End`].
+    /// The program names a position in the code that does not exist, or the end of the code without an [`Op::End`].
     NoSuchAddress(Address),
     /// The operation names a variable, format, place, action, reason, order or timer that does not exist, or one that
     /// does not fit it.
     NoSuchEntry(Address),
     /// The operation starts a timer without a handler for its end.
     Unhandled(Address),
-    /// The operation takes more operands than there are, leaves some where it waits, or is reached with different
-    /// numbers of them.
+    /// The operation takes more operands than there are, leaves operands on the stack while it waits, or is reached with
+    /// different numbers of operands.
     Operands(Address),
-    /// An atomic section is open at the end of a handler, is closed without being open, or may be either where paths meet.
+    /// An atomic section is open at the end of a handler, is closed without being open, or is open on only one of two paths
+    /// that meet.
     Atomic(Address),
     /// The operation is for checks or for handlers only, or makes no sense: a choice among none, or an action whose shortest
     /// duration exceeds its longest.
@@ -63,7 +64,7 @@ struct Known {
 }
 
 impl Program {
-    /// Checks the program and gives the most operands that it holds at once.
+    /// Checks the program. Returns the greatest number of operands that it holds at once.
     ///
     /// # Errors
     /// The first fault found.
@@ -96,7 +97,7 @@ impl Program {
         Ok(most)
     }
 
-    /// Follows every path from an entry, in the body or in a handler, and gives the most operands held.
+    /// Follows every path from an entry, in the body or in a handler. Returns the greatest number of operands held.
     fn walk(&self, entry: Address, handler: Option<u8>) -> Result<usize, ProgramError> {
         let mut known: Vec<Option<Known>> = vec![None; self.code.len()];
         let mut open = vec![(entry, Known { held: 0, atomic: 0 })];
@@ -133,7 +134,7 @@ impl Program {
         Ok(most)
     }
 
-    /// The handlers that may begin an action, bit by bit.
+    /// The handlers that may begin an action, one bit for each handler.
     pub(super) fn acting_handlers(&self) -> u64 {
         let mut acting = 0;
         for (i, handler) in self.handlers.iter().enumerate().take(64) {
@@ -274,7 +275,8 @@ fn follow(at: Address, op: Op) -> [Option<Address>; 2] {
     }
 }
 
-/// Whether a handler may run, or the script may wait, in the operation: then the stack must hold no operands but its own.
+/// Whether a handler may run, or the script may wait, in the operation: then the stack must hold only the operands of this
+/// operation.
 const fn waits(op: Op) -> bool {
     matches!(
         op,

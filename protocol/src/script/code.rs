@@ -1,10 +1,10 @@
-//! What a program is compiled to when it is loaded: operations whose operands are resolved.
+//! The compiled form of a program, made when the program is loaded: operations whose operands are resolved (D188).
 //!
-//! For each operation of a [`Program`] there is a [`Shortcut`]: what the operation does together with those after it, without a
-//! way over the stack of operands. It carries itself out wholly or not at all. Where anything is unusual (a fault, a missing
-//! message, a long one, the last operations of a step), the interpreter carries out the operation itself, and looks for the
-//! shortcut of the next one. So a shortcut needs no rule for faults, positions stay those of the program, and a script may go on
-//! at any operation: a state has no trace of the shortcuts.
+//! For each operation of a [`Program`] there is a [`Shortcut`]: it does the work of this operation and of those after it,
+//! without the stack of operands. A shortcut is carried out wholly or not at all. In unusual cases (a fault, a missing or
+//! long message, the last operations of a step) the interpreter carries out the operation itself, and looks for the
+//! shortcut of the next operation. So a shortcut needs no rule for faults, positions stay those of the program, and a
+//! script may continue at any operation: no state shows whether shortcuts were used.
 
 use super::program::{Address, Fusing, Op, Program, StatementOutcome};
 use super::value::{Binary, Slot, Term, Type};
@@ -13,33 +13,33 @@ use alloc::boxed::Box;
 use alloc::vec;
 use alloc::vec::Vec;
 
-/// The most operations that one branch by an outcome stands for.
+/// The most operations that a shortcut replaces by one branch on an outcome.
 const MOST_BRANCHES: u8 = 16;
 
 /// The shortcuts of a program's operations.
 #[derive(Clone, Debug, Default)]
 pub struct Code {
     pub shortcuts: Box<[Shortcut]>,
-    /// For each outcome of a statement, from [`Act::On`] on: where it leads.
+    /// For each outcome of a statement: where the script continues. [`Act::On`] holds the position of its first entry.
     pub branches: Box<[Landing]>,
     pub sent: Box<[Sent]>,
     pub read: Box<[Read]>,
 }
 
-/// What an operation and those after it do.
+/// What an operation and those after it do together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shortcut {
-    /// Whether the operation begins a statement. `act` is then that of the operations after it.
+    /// Whether the operation begins a statement. If so, `act` stands for the operations after it.
     pub statement: bool,
     pub act: Act,
-    /// How many operations `act` stands for, at most.
+    /// The greatest number of operations that `act` stands for.
     pub count: u8,
     /// Where the script goes on, unless `act` itself says it: behind a jump that follows. For an [`Op::Reply`] that sends its operands,
     /// the [`Op::Get`] that follows once it is accepted, if nothing else happens in between (D200).
     pub next: Landing,
 }
 
-/// Where a script goes on, and how many operations lead there.
+/// Where a script continues, and how many operations lead there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Landing {
     pub to: Address,
@@ -49,10 +49,11 @@ pub struct Landing {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Act {
-    /// The operation itself, without a shortcut.
+    /// The operation has no shortcut, and is carried out by itself.
     Plain,
     Jump,
-    /// Branches by the outcome of the last statement, as far as operations do nothing else: from here on in [`Code::branches`].
+    /// Branches on the outcome of the last statement, as long as the operations do nothing else. The branches begin at this
+    /// position of [`Code::branches`].
     On(u16),
     Compute(Compute),
     Send(Send),
@@ -71,28 +72,28 @@ pub struct Compute {
     pub then: Then,
 }
 
-/// A message of `len` bytes in one packet: the operation after those that push its last fields is [`Op::Send`], [`Op::Reply`] or
-/// [`Op::Arrive`]. The first fields come from the stack.
+/// A message of `len` bytes in one packet: its last fields are pushed by operations, and the next operation is
+/// [`Op::Send`], [`Op::Reply`] or [`Op::Arrive`]. The first fields come from the stack.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Send {
-    /// In [`Code::sent`].
+    /// The fields that are sent, in [`Code::sent`].
     pub fields: Fields,
     pub len: u8,
-    /// How many fields the shortcut pushes no more.
+    /// How many pushes of fields the shortcut replaces.
     pub pushed: u8,
     /// How many fields come from the stack.
     pub pops: u8,
 }
 
-/// A message of `len` bytes in one packet that is read.
+/// A message of `len` bytes in one packet, to be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Unpack {
-    /// In [`Code::read`].
+    /// The fields that are read, in [`Code::read`].
     pub fields: Fields,
     pub len: u8,
 }
 
-/// Some fields of a table.
+/// A range of fields in a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fields {
     pub first: u16,
@@ -116,29 +117,29 @@ pub enum Operand {
     Task(u16),
     /// A variable of the handler.
     Local(u16),
-    /// As many places below the top, from 1.
+    /// The value this many places below the top of the stack, from 1.
     Stack(u8),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Function {
-    /// The first value.
+    /// The result is the first value.
     Same,
-    /// `not` of the first value.
+    /// The result is `not` of the first value.
     Not,
     Int(Binary),
     Real(Binary),
 }
 
-/// Where a value goes.
+/// What is done with a computed value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Then {
     Push,
-    /// Into a variable of this type.
+    /// The value goes into a variable of this type.
     Store(Slot, Type),
-    /// A jump, if it is false.
+    /// The script jumps if the value is false.
     Unless(Address),
 }
 
@@ -150,7 +151,7 @@ pub struct Sent {
     pub at: u8,
 }
 
-/// A field that is read: its type, its position in the contents, and the variable that it goes to.
+/// A field that is read: its type, its position in the contents, and the variable that takes it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Read {
     pub of: Type,
@@ -166,7 +167,7 @@ impl Shortcut {
 }
 
 impl Code {
-    /// Compiles a program. One that fails its check has no shortcuts, because its operands may have any number.
+    /// Compiles a program. A program that fails its check has no shortcuts, because the number of its operands is unknown.
     #[must_use]
     pub fn new(program: &Program) -> Self {
         if program.check().is_err() {
@@ -175,7 +176,7 @@ impl Code {
         let owners = owners(program);
         let mut tables = Tables::default();
         let mut shortcuts = vec![Shortcut::PLAIN; program.code.len()];
-        // From the end, because a statement has the shortcut of the operation after it.
+        // The loop goes backwards, because a statement uses the shortcut of the operation after it.
         for at in (0..program.code.len()).rev() {
             if program.code[at] == Op::Statement {
                 let after = shortcuts.get(at + 1).filter(|after| !after.statement);
@@ -189,7 +190,7 @@ impl Code {
         Self { shortcuts: shortcuts.into(), branches: branches.into(), sent: sent.into(), read: read.into() }
     }
 
-    /// No shortcuts: each operation is carried out by itself.
+    /// Code without shortcuts: each operation is carried out by itself.
     #[must_use]
     pub fn plain() -> Self {
         Self::default()
@@ -201,8 +202,8 @@ impl Code {
     }
 }
 
-/// For each operation the handler that it belongs to, or `Some(None)` in the task's own thread. `None`: it is not reached, or
-/// belongs to several, so that its local variables are not known.
+/// For each operation the handler to which it belongs, or `Some(None)` if it belongs to the task's own thread. `None`: the
+/// operation is not reached, or belongs to several handlers, so that its local variables are not known.
 fn owners(program: &Program) -> Vec<Option<Option<u8>>> {
     let mut owners = vec![None; program.code.len()];
     let mut shared = vec![false; program.code.len()];
@@ -220,12 +221,12 @@ fn owners(program: &Program) -> Vec<Option<Option<u8>>> {
 /// Compiles one operation at a time.
 struct Compiler<'a> {
     program: &'a Program,
-    /// The handler that the operation belongs to.
+    /// The handler to which the operation belongs.
     owner: Option<u8>,
     tables: &'a mut Tables,
 }
 
-/// What grows while a program is compiled.
+/// The tables that grow while a program is compiled.
 #[derive(Default)]
 struct Tables {
     branches: Vec<Landing>,
@@ -296,7 +297,7 @@ impl Compiler<'_> {
         variable.map(|variable| variable.of)
     }
 
-    /// The value that an operation pushes, if the program names it.
+    /// The value that an operation pushes, if the program alone determines it.
     fn operand(&self, at: usize) -> Option<Operand> {
         match *self.program.code.get(at)? {
             Op::Term(Term::Push(value)) => Some(Operand::Constant(value)),
@@ -308,8 +309,9 @@ impl Compiler<'_> {
         }
     }
 
-    /// Joins the operations from `at` on that compute one value: up to two operands, a function, and a store or a conditional jump
-    /// if one follows. Otherwise the value is pushed. Returns the act, and how many operations it replaces; `None` if nothing joins.
+    /// Joins the operations from `at` on that compute one value: up to two operands, a function, and a store or conditional
+    /// jump if one follows. Without such a store or jump the value is pushed. Returns the act and how many operations it
+    /// replaces; `None` if there is nothing to join.
     fn compute(&self, at: usize) -> Option<(Act, u8)> {
         use Operand::Stack;
         let function = |at: usize| match *self.program.code.get(at)? {
@@ -368,7 +370,7 @@ impl Compiler<'_> {
         Some((Act::Send(Send { fields, len, pushed, pops }), pushed + 1))
     }
 
-    /// A message of one packet.
+    /// Reads a message of one packet into variables.
     fn unpack(&mut self, format: u16, into: u16) -> Option<Act> {
         let format = self.program.formats.get(usize::from(format))?;
         let len = Some(format.bytes()).filter(|&len| len <= CONTENTS_BYTES)?;

@@ -11,7 +11,7 @@ use crate::ticks::Ticks;
 use alloc::collections::VecDeque;
 use alloc::sync::Arc;
 
-/// How many inputs fit without an allocation, besides the next one.
+/// How many later inputs fit without an allocation, besides the next input.
 const ROOM: usize = 16;
 
 /// A script, the inputs that it has not taken, and the requests that its driver has not passed on.
@@ -21,16 +21,16 @@ const ROOM: usize = 16;
 /// outside the node, the driver calls [`count_anew`](Self::count_anew) first.
 #[derive(Clone, Debug)]
 pub struct ScriptHost {
-    /// The program.
+    /// The program of the script.
     pub program: Arc<Program>,
     code: Arc<Code>,
     /// The state of the script.
     pub script: Script,
-    /// The next input. A script takes it where it is: most have one at most.
+    /// The next input. It has a place of its own, because most scripts have at most one input.
     input: Option<ScriptInput>,
-    /// The inputs after it.
+    /// The inputs after the next one.
     later: VecDeque<ScriptInput>,
-    /// What the script asked in its last step. Its next step begins only when all of them are passed on.
+    /// What the script asked in its last step. Its next step begins only when all these requests are passed on.
     requests: Requests,
     /// Steps since the last input from outside, or the last message.
     steps: u32,
@@ -53,7 +53,7 @@ impl ScriptHost {
         }
     }
 
-    /// An input that the script takes after all earlier ones.
+    /// Queues an input, which the script takes after all earlier ones.
     #[inline]
     pub fn tell(&mut self, input: ScriptInput) {
         if self.stopped {
@@ -66,7 +66,7 @@ impl ScriptHost {
         }
     }
 
-    /// Input comes from outside the node: steps are counted from here on.
+    /// Restarts the count of steps, because input comes from outside the node.
     pub const fn count_anew(&mut self) {
         self.steps = 0;
     }
@@ -132,7 +132,7 @@ impl ScriptHost {
         self.stopped
     }
 
-    /// Drops all inputs and requests, for a driver that breaks a run off.
+    /// Drops all inputs and requests, for a driver that abandons a run.
     pub fn clear(&mut self) {
         self.input = None;
         self.later.clear();
@@ -169,16 +169,16 @@ impl Script {
 /// An action outside: of a robot's driver, of a PLC, or simulated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Action<'a> {
-    /// The activation that waits for it: 0 is the task's own thread, each nested handler has the next number. A handler may
-    /// run an action while the interrupted activation's action goes on.
+    /// The activation that waits for this action: 0 is the task's own thread, each nested handler has the next number. A
+    /// handler may run an action while the action of the interrupted activation continues.
     pub level: u8,
-    /// Which of [`Program::actions`].
+    /// The number of the action, a position in [`Program::actions`].
     pub action: u16,
-    /// Its arguments.
+    /// The arguments of the action.
     pub arguments: &'a [i64],
-    /// The shortest duration.
+    /// The shortest duration of the action.
     pub least: Ticks,
-    /// The longest duration.
+    /// The longest duration of the action.
     pub most: Ticks,
 }
 
@@ -194,13 +194,13 @@ pub trait ScriptOutbox {
     fn ended(&mut self, end: End);
     /// The script's communication task, on a node with this table. Without it the script reads nothing but signals.
     fn communication(&self) -> Option<(&CommTask, &NodeTable)>;
-    /// The script, which waits in the operation `at`, is about to take an input. False ends it as a runaway instead: the scripts of
-    /// the node have taken too many steps together.
+    /// Called before the script, which waits in the operation `at`, takes an input. Returning false ends the script as a
+    /// runaway: the scripts of the node have taken too many steps together.
     fn takes(&mut self, at: Address, input: &ScriptInput) -> bool {
         let _ = (at, input);
         true
     }
-    /// The script asks its communication task.
+    /// The script makes a request of its communication task.
     fn asked(&mut self, request: &Request) {
         let _ = request;
     }
@@ -212,11 +212,12 @@ pub trait ScriptOutbox {
     fn unanswered(&mut self, message: ReplyTo) {
         let _ = message;
     }
-    /// A fragment, from 1, of the message received last (D28).
+    /// A fragment, counted from 1, of the message received last (D28).
     fn fragment(&self, index: u8) -> Option<Contents> {
         self.communication()?.0.fragment(index).copied()
     }
-    /// A fragment, from 0, of the answer of `task` to the last request on `port`; `None` means the only task asked.
+    /// A fragment, counted from 0, of the answer of `task` to the last request on `port`. `None` stands for the only task
+    /// asked.
     fn answer(&self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
         let (machine, table) = self.communication()?;
         let answer = |task| machine.answer_fragment(port, task, index).copied();

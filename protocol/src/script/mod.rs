@@ -1,9 +1,9 @@
 //! Scripts: the compiled behaviour of tasks, and its interpreter, a small-step state machine (D45).
 //!
 //! A [`Program`] is static. A [`Script`] is a fixed stack of operands, the task's variables, and one frame with a program
-//! counter per *activation*: the task's own thread, and each running handler (R16, D15). [`Script::step`] takes one input and
-//! runs until the script ends or needs an answer: to a request, to an action outside, or to a choice of the driver. Nothing
-//! can come between the operations of such a run, so it is one step for the model checker.
+//! counter per *activation*: the task's own thread, and each running handler (R16, D15). [`Script::step`] takes one input
+//! and runs until the script ends or needs an answer: to a request, to an action outside, or to a choice of the driver. No
+//! other event can come between the operations of such a run, so it is one step for the model checker.
 //!
 //! Like a communication task, a script uses no clock and no lock, allocates nothing after `new`, and panics on no program
 //! and no input. A malformed program ends in [`End::Fault`]; [`Program::check`] finds the fault beforehand.
@@ -42,7 +42,7 @@ use serde::{Deserialize, Serialize};
 pub const MAX_OPERANDS: usize = MAX_MESSAGE + CHECK_DEPTH;
 /// How many operations a script may run from one input to the next operation that waits.
 pub const STEP_LIMIT: u32 = 4096;
-/// How many steps a script may take for one input from outside since its last message (D95): [`ScriptHost`] ends a script that takes more.
+/// Most steps of a script for one input from outside since its last message (D95): [`ScriptHost`] ends one that takes more.
 pub const HOST_LIMIT: u32 = 10_000;
 /// How many activations a script may have: the task's own thread, and the handlers that the communication task nests (D15).
 pub const MAX_THREADS: usize = ServiceOrder::LEVELS + 3;
@@ -56,11 +56,11 @@ pub enum ScriptInput {
     Signal(Signal),
     /// An action has ended.
     Acted {
-        /// The activation that ran it, as [`Action::level`] said.
+        /// The activation that ran the action, as [`Action::level`] said.
         level: u8,
-        /// Whether it succeeded.
+        /// Whether the action succeeded.
         ok: bool,
-        /// Its result.
+        /// The result of the action.
         value: i32,
     },
     /// The driver chose this alternative, after the script asked for a choice.
@@ -82,9 +82,9 @@ pub enum ScriptFault {
     Runaway,
     /// More than [`MAX_THREADS`] activations.
     TooDeep,
-    /// An input of the driver or of the communication task that does not answer the current wait.
+    /// An input of the driver or of the communication task does not answer the current wait.
     Unexpected,
-    /// A message or answer is not of the format that the program reads.
+    /// A message or answer does not have the format that the program reads.
     WrongContents,
     /// There is no message or answer to read.
     NothingReceived,
@@ -114,19 +114,19 @@ impl core::error::Error for ScriptFault {}
 /// How a script ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum End {
-    /// It reached its end.
+    /// The script reached its end.
     Finished,
-    /// It aborted, for one of [`Program::reasons`].
+    /// The script aborted, for one of [`Program::reasons`].
     Aborted(u16),
     /// An `assert` did not hold.
     Assertion(Address),
-    /// It lost its lease, and has no take-over part or can never hold a lease again (D61).
+    /// The task lost its lease, and has no take-over part or can never hold a lease again (D61).
     Fenced,
-    /// A fault, at this operation.
+    /// A fault ended the script, at this operation.
     Fault {
         /// The fault.
         fault: ScriptFault,
-        /// The operation.
+        /// The operation at which the fault happened.
         at: Address,
     },
 }
@@ -139,46 +139,46 @@ enum Standing {
     Ended(End),
 }
 
-/// Where a script continues, once its handlers are registered.
+/// Where a script continues when its handlers are registered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 enum Anew {
     /// At its first operation. If the body waits for a lease, handlers that act are registered only with the lease.
     Begin,
     /// At its take-over part.
     TakeOver,
-    /// After the operation that waited for the lease. Only handlers that act are registered now: they needed the lease.
+    /// After the operation that waited for the lease. Only handlers that act are registered now: these needed the lease.
     Granted,
-    /// Nowhere: it lost its lease and does not act until it gets the lease back or takes over. Handlers that act are
-    /// unregistered, so their messages wait in the buffer. The other handlers still run.
+    /// Nowhere: the task lost its lease and does not act until it gets the lease back or takes over. Handlers that act are
+    /// unregistered, so messages for them wait in the buffer. The other handlers still run.
     Passive,
 }
 
-/// What an activation waits for. Only the running one may wait for nothing, and only within a step.
+/// What an activation waits for. Only the running activation may wait for nothing, and only within a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 enum Wait {
     #[default]
     Nothing,
     /// The answer to the registration of the handler at this position.
     Register(u8, Anew),
-    /// The answer to this fragment. The operands of the message are still on the stack.
+    /// The answer to the request that hands over this fragment. The operands of the message are still on the stack.
     Part(u8),
-    /// The answer to its current operation.
+    /// The answer to the activation's current operation.
     Signal,
-    /// Whether a handler runs before its current statement.
+    /// The answer whether a handler runs before the activation's current statement.
     Boundary,
-    /// The end of its action.
+    /// The end of the activation's action.
     Working,
-    /// The answer to [`Request::Done`], for an action that ended like this.
+    /// The answer to [`Request::Done`]. The action ended in this way.
     Done(Acted),
-    /// The end of the handlers above it. Its own action has already ended like this.
+    /// The end of the handlers above this activation. Its own action has already ended in this way.
     Kept(Acted),
     /// The driver's choice among this many alternatives.
     Choice(u16),
-    /// The answer to a Done that crossed the call of this handler. Then the handler begins with this message.
+    /// The answer to a Done made just before the call of this handler arrived. Then the handler begins with this message.
     Entering(Option<Inbound>),
     /// The answer to [`Request::Abandon`].
     Abandon(Anew),
-    /// Its lease, or a take-over.
+    /// The activation waits for its lease, or for a take-over.
     Passive,
 }
 
@@ -202,12 +202,12 @@ struct Inbound {
 /// The frame of an activation: the task's own thread, or a handler.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 struct Frame {
-    /// The handler that it runs; `None` for the task's own thread.
+    /// The handler that the activation runs; `None` for the task's own thread.
     handler: Option<u8>,
-    /// The operation that it runs, or waits in.
+    /// The operation that the activation runs, or in which it waits.
     at: Address,
     wait: Wait,
-    /// The class-2 message that it received last and has not answered.
+    /// The class-2 message that the activation received last and has not answered.
     message: Option<ReplyTo>,
 }
 
@@ -221,16 +221,16 @@ pub struct Script {
     operands: Box<[i64]>,
     held: usize,
     variables: Box<[i64]>,
-    /// The handlers' variables: `width` for each activation.
+    /// The handlers' variables, `width` of them for each activation.
     locals: Box<[i64]>,
     width: usize,
     /// How many atomic sections are open.
     atomic: u8,
-    /// The handlers of the program that may begin an action, bit by bit.
+    /// The handlers of the program that may begin an action, one bit for each handler.
     acting: u64,
 }
 
-/// What a script asks of its communication task in one step: two requests at most.
+/// The requests that a script makes of its communication task in one step: at most two.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Requests([Option<Request>; 2]);
 
@@ -247,7 +247,7 @@ impl Requests {
     pub fn pop(&mut self) -> Option<Request> {
         let Self([first, second]) = self;
         let next = if first.is_some() { first } else { second };
-        // Not `take`, which copies what is not there, too.
+        // `take` would also copy an absent value, which is slower.
         if next.is_some() { next.take() } else { None }
     }
 }
@@ -255,22 +255,22 @@ impl Requests {
 /// What a script is doing, for display.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Activity {
-    /// It has not begun.
+    /// The script has not begun.
     NotBegun,
-    /// It waits for its communication task.
+    /// The script waits for its communication task.
     Waits,
-    /// It waits for the end of its action.
+    /// The script waits for the end of its action.
     Acts,
-    /// It waits for the driver's choice among this many alternatives.
+    /// The script waits for the driver's choice among this many alternatives.
     Chooses(u16),
-    /// It lost its lease and waits to get it back or to take over.
+    /// The task lost its lease and waits to get the lease back or to take over.
     Passive,
-    /// It has ended.
+    /// The script has ended.
     Ended(End),
 }
 
 impl Script {
-    /// The script of a task that has not begun. Only this allocates.
+    /// The script of a task that has not begun. Only this function allocates.
     #[must_use]
     pub fn new(program: &Program) -> Self {
         let threads = if program.handlers.is_empty() { 1 } else { MAX_THREADS };
@@ -290,8 +290,8 @@ impl Script {
         }
     }
 
-    /// Takes one input and runs until the script ends or needs an answer. Total: no program and no input panics. `code` is that of
-    /// the program, or [`Code::plain`]. `requests` gets the requests to the communication task, in their order.
+    /// Takes one input and runs until the script ends or needs an answer. Total: no program and no input panics. `code` is
+    /// that of the program, or [`Code::plain`]. `requests` gets the requests to the communication task, in order.
     pub fn step(
         &mut self,
         program: &Program,
@@ -315,7 +315,7 @@ impl Script {
         }
     }
 
-    /// Ends the script with a fault, as a driver does with one that never waits.
+    /// Ends the script with a fault. A driver ends a script so that never waits.
     pub fn stop(
         &mut self,
         program: &Program,
@@ -328,7 +328,7 @@ impl Script {
         }
     }
 
-    /// What it is doing.
+    /// What the script is doing.
     #[must_use]
     pub fn activity(&self) -> Activity {
         match (self.standing, self.top().map_or(Wait::Nothing, |frame| frame.wait)) {

@@ -20,16 +20,16 @@ pub const MAX_MESSAGE: usize = MAX_FRAGMENTS * CONTENTS_BYTES;
 /// A variable.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Variable {
-    /// Its name; for a field of a record, with the record's name: `me.height`.
+    /// The variable's name; for a field of a record, with the record's name: `me.height`.
     pub name: String,
-    /// What it holds.
+    /// The variable's type.
     pub of: Type,
-    /// What it holds when the task or the handler begins.
+    /// The variable's value when the task or the handler begins.
     pub initial: i64,
 }
 
 impl Variable {
-    /// Its initial value, or zero, which every type holds, if that is not of its type.
+    /// The variable's initial value, or zero if that value is not of its type. Every type has a zero.
     pub(super) fn first(&self) -> i64 {
         if self.of.holds(self.initial) { self.initial } else { 0 }
     }
@@ -39,18 +39,18 @@ impl Variable {
 /// of 12 bytes.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Format {
-    /// The fields.
+    /// The types of the fields.
     pub fields: Vec<Type>,
 }
 
 impl Format {
-    /// How many bytes it takes.
+    /// How many bytes a message of this format takes.
     #[must_use]
     pub fn bytes(&self) -> usize {
         self.fields.iter().map(|field| field.bytes()).sum()
     }
 
-    /// The fields that are complete in `bytes`, the start of such a message. Ends before a value that its type does not hold.
+    /// The fields that are complete in `bytes`, the start of a message. Ends before a value that its type does not hold.
     pub fn values<'a>(&'a self, bytes: &'a [u8]) -> impl Iterator<Item = (Type, i64)> + 'a {
         let mut rest = bytes;
         self.fields.iter().map_while(move |&of| {
@@ -60,7 +60,7 @@ impl Format {
         })
     }
 
-    /// How many packets it takes: at least one, even if it is empty.
+    /// How many packets a message of this format takes: at least one, even if it is empty.
     #[must_use]
     pub fn fragments(&self) -> usize {
         self.bytes().div_ceil(CONTENTS_BYTES).max(1)
@@ -81,21 +81,21 @@ pub enum Trigger {
 /// A handler: runs as an activation above the one that it interrupts, with variables of its own.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Handler {
-    /// What calls it.
+    /// What calls the handler.
     pub trigger: Trigger,
-    /// Where its code begins. It ends with [`Op::HandlerEnd`].
+    /// Where the handler's code begins. The code ends with [`Op::HandlerEnd`].
     pub entry: Address,
-    /// Its variables: [`Slot::Local`].
+    /// The handler's variables: [`Slot::Local`].
     pub locals: Vec<Variable>,
 }
 
-/// How a statement that makes a request ended.
+/// How a statement that makes a request has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[repr(u8)]
 pub enum StatementOutcome {
-    /// It was accepted, or its wait is over; for an action: it succeeded.
+    /// The request was accepted, or its wait is over; for an action: the action succeeded.
     Done = 0,
-    /// The answer came; for a message to several: all answered.
+    /// The answer came; for a message to several tasks: all of them answered.
     Reply = 1,
     /// The receiver had no space; the command did not run.
     Refused = 2,
@@ -105,19 +105,19 @@ pub enum StatementOutcome {
     TimedOutUnknown = 4,
     /// The destination restarted; the command may have run.
     PeerRestarted = 5,
-    /// For a message to several: not all answered.
+    /// For a message to several tasks: not all of them answered.
     Incomplete = 6,
-    /// A message came.
+    /// A message came before the time_out.
     Message = 7,
-    /// No message came in time.
+    /// No message came before the time_out.
     Nothing = 8,
-    /// All have arrived.
+    /// All members of the rendezvous have arrived.
     Released = 9,
-    /// Not all arrived in time.
+    /// Not all members of the rendezvous arrived in time.
     GaveUp = 10,
     /// The action failed.
     Failed = 11,
-    /// There is no message to answer: none was received, it is answered already, or its execution budget has ended.
+    /// No message can be answered: none was received, it is answered already, or its execution budget has ended.
     Unanswerable = 12,
     /// The port acts under a lease that the task does not hold (D61).
     Fenced = 13,
@@ -149,7 +149,7 @@ impl Outcomes {
                 .0,
     );
 
-    /// The set of these.
+    /// The set of these outcomes.
     #[must_use]
     pub const fn of(outcomes: &[StatementOutcome]) -> Self {
         let (mut set, mut i) = (0, 0);
@@ -160,14 +160,14 @@ impl Outcomes {
         Self(set)
     }
 
-    /// Whether it has this one.
+    /// Whether the set has this outcome.
     #[must_use]
     pub const fn has(self, outcome: StatementOutcome) -> bool {
         self.0 >> outcome as u16 & 1 == 1
     }
 }
 
-/// The mask that [`Op::Mark`] reads after a message to several: see [`Answers`](crate::Answers).
+/// The mask that [`Op::Mark`] reads after a message to several tasks: see [`Answers`](crate::Answers).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[expect(missing_docs, reason = "the names are those of the fields")]
 pub enum Mark {
@@ -178,11 +178,11 @@ pub enum Mark {
     Unsent,
 }
 
-/// One operation. An operation that makes a request waits for the answer, which leaves a [`StatementOutcome`] and perhaps a
-/// value, an answer or a message. These results last until the next statement or the next request.
+/// One operation. An operation that makes a request waits for its answer. The answer leaves a [`StatementOutcome`] and
+/// perhaps a value, an answer or a message. These results last until the next statement or the next request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Op {
-    /// A statement begins here: the driver is told, and a handler may run first (D15).
+    /// A statement begins here: the interpreter reports it to the driver, and a handler may run first (D15).
     Statement,
     /// A step of an expression.
     Term(Term),
@@ -190,36 +190,36 @@ pub enum Op {
     Store(Slot),
     /// Pops a value and discards it.
     Pop,
-    /// Jumps.
+    /// Jumps to this address.
     Jump(Address),
     /// Pops a truth value and jumps if it is false.
     Unless(Address),
     /// Jumps if the last statement ended with one of these outcomes.
     On {
-        /// The outcomes.
+        /// The outcomes for which the script jumps.
         outcomes: Outcomes,
-        /// The target.
+        /// The target of the jump.
         to: Address,
     },
-    /// Pushes the number of the [`StatementOutcome`].
+    /// Pushes the number of the last statement's [`StatementOutcome`].
     Outcome,
     /// Pushes the number that the last answer brought: the result of an action, how many copies a send made, or bit by bit
     /// which members were missing at a `waitfor`.
     Value,
-    /// Pushes a mask of the answers to the last message to several.
+    /// Pushes a mask of the answers to the last message to several tasks.
     Mark(Mark),
-    /// Selects the answer of one of several asked tasks for [`Op::Unpack`], and pushes whether it came.
+    /// Selects for [`Op::Unpack`] the answer of one of several asked tasks, and pushes whether its answer came.
     Answer {
-        /// The port.
+        /// The port of the message.
         port: PortId,
-        /// The task.
+        /// The task whose answer is selected.
         task: TaskId,
     },
     /// Reads the fields of the received message or answer into the variables of [`Program::places`], from `into` on.
     Unpack {
-        /// Its format.
+        /// The format of the message or answer.
         format: u16,
-        /// The first of as many places as it has fields.
+        /// The position in [`Program::places`] of the first variable.
         into: u16,
     },
     /// Pushes the port through which the last message came.
@@ -230,67 +230,67 @@ pub enum Op {
     /// With [`Op::ReceivedSource`] it names the message to a task that answers instead. A canonical state cannot hold such an
     /// id in a variable or a message, so a checker refuses the program (D51).
     ReceivedId,
-    /// Selects what the task at the other end of the couple published last for [`Op::Unpack`], and pushes whether there is
+    /// Selects for [`Op::Unpack`] what the partner of the task's couple published last, and pushes whether it has published
     /// anything (D61).
     Published,
-    /// Selects the arguments of a member for [`Op::Unpack`], in the round that this task waits in or was released from last.
-    /// Pushes whether they are known: after a release by a CONFIRM they may not be.
+    /// Selects for [`Op::Unpack`] the arguments of a member, in the round in which this task waits or from which it was
+    /// released last. Pushes whether the arguments are known: after a release by a CONFIRM they may be unknown.
     Arrival {
-        /// The waitfor.
+        /// The port of the waitfor.
         port: PortId,
-        /// The member.
+        /// The member whose arguments are selected.
         task: TaskId,
-        /// The format of its arguments.
+        /// The format of the member's arguments.
         format: u16,
     },
-    /// SEND, or a query: pops the fields.
+    /// SEND or a query: pops the fields of the message.
     Send {
-        /// The port.
+        /// The port of the message.
         port: PortId,
-        /// Who it is for.
+        /// The receivers of the message.
         to: Target,
-        /// Its format.
+        /// The format of the message.
         format: u16,
-        /// Its TTL, if shorter than the port's time_out.
+        /// The TTL of the message, if shorter than the port's time_out.
         time_out: Option<Ticks>,
     },
-    /// GET.
+    /// GET: waits for a message.
     Get {
-        /// One port, or all that have no handler.
+        /// The port to read, or all ports that have no handler.
         port: Option<PortId>,
-        /// One source, or any.
+        /// The source whose messages are taken, or any.
         source: Option<TaskId>,
         /// How long to wait; `None` waits without end.
         time_out: Option<Ticks>,
     },
-    /// Reply or response to the message that this activation received last: pops the fields.
+    /// Reply or response to the message that this activation received last: pops the fields of the answer.
     Reply {
-        /// Its format.
+        /// The format of the answer.
         format: u16,
     },
-    /// Reply to a message that another task received, or that this one received earlier: pops the fields, then the id of the
-    /// message ([`Op::ReceivedId`]), then its source.
+    /// Reply to a message that another task received, or that this task received earlier. Pops the fields, then the id of
+    /// the message ([`Op::ReceivedId`]), then its source.
     ReplyFor {
-        /// A port with usage `reply`, or the one that this task received the message on.
+        /// A port with usage `reply`, or the port on which this task received the message.
         port: PortId,
-        /// Its format.
+        /// The format of the answer.
         format: u16,
     },
     /// Reply to the message of `task` that this task received earlier on `port` and has not answered (D93): pops the fields.
     /// There is at most one such message per task and port (D75), so no id is needed.
     ReplyOwed {
-        /// The port that it came on.
+        /// The port on which the message came.
         port: PortId,
-        /// The task that sent it.
+        /// The task that sent the message.
         task: TaskId,
         /// The format of the answer.
         format: u16,
     },
     /// ARRIVE: pops the fields, at most 8 bytes of them. The other members read them with [`Op::Arrival`].
     Arrive {
-        /// The waitfor.
+        /// The port of the waitfor.
         port: PortId,
-        /// The format of its arguments.
+        /// The format of the arguments.
         format: u16,
         /// The patience, if shorter than the port's time_out.
         time_out: Option<Ticks>,
@@ -301,31 +301,31 @@ pub enum Op {
     Delay(Ticks),
     /// Starts a timer.
     Start {
-        /// Its name.
+        /// The name of the timer.
         timer: TimeId,
-        /// How long.
+        /// How long the timer runs.
         length: Ticks,
     },
     /// Stops a timer.
     Stop(TimeId),
-    /// An action outside, one of [`Program::actions`]: pops the arguments. Handlers may interrupt the wait for its end; the
+    /// Begins an action, one of [`Program::actions`]: pops the arguments. Handlers may interrupt the wait for its end; the
     /// action goes on meanwhile.
     Run {
-        /// Which.
+        /// The number of the action.
         action: u16,
-        /// How many arguments.
+        /// The number of arguments.
         arguments: u8,
-        /// The shortest duration.
+        /// The shortest duration of the action.
         least: Ticks,
-        /// The longest duration.
+        /// The longest duration of the action.
         most: Ticks,
     },
-    /// From `true` to `false` no handler interrupts. Such sections nest.
+    /// From `Atomic(true)` to `Atomic(false)` no handler interrupts. Such sections nest.
     Atomic(bool),
     /// Sets what the answers to heartbeats carry from here on (D61): pops the fields, at most
     /// [`PUBLISHED_BYTES`](crate::PUBLISHED_BYTES) of them.
     Publish {
-        /// The format.
+        /// The format of the published fields.
         format: u16,
     },
     /// Waits for the lease (D61).
@@ -334,7 +334,7 @@ pub enum Op {
     Assert,
     /// Ends the task, for one of [`Program::reasons`].
     Abort(u16),
-    /// Pushes a number below this one that the driver chooses.
+    /// Pushes a number that the driver chooses, below this one.
     Choose(u16),
     /// The handler ends; the activation that it interrupted goes on (R16).
     HandlerEnd,
@@ -346,7 +346,7 @@ pub enum Op {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Fusing {
     /// The first statement after a wait, or after an operation that changes ranks. No message can arrive between the other
-    /// statements, so asking there would change nothing.
+    /// statements, so the other statements need not ask.
     #[default]
     Fused,
     /// Every statement.
@@ -366,30 +366,30 @@ pub struct Program {
     pub takeover: Option<Address>,
     /// The task's variables: [`Slot::Task`].
     pub variables: Vec<Variable>,
-    /// The names of its timers: [`TimeId`] is the position here.
+    /// The names of the task's timers: [`TimeId`] is the position here.
     pub timers: Vec<String>,
-    /// The formats of what it sends and receives.
+    /// The formats of the messages that the task sends and receives.
     pub formats: Vec<Format>,
-    /// Lists of variables that messages are read into, one after another.
+    /// Lists of variables into which messages are read, one after another.
     pub places: Vec<Slot>,
-    /// The names of its actions.
+    /// The names of the task's actions.
     pub actions: Vec<String>,
-    /// The reasons for which it aborts.
+    /// The reasons for which the task aborts.
     pub reasons: Vec<String>,
-    /// Its `order`s.
+    /// The task's `order`s.
     pub orders: Vec<ServiceOrder>,
-    /// Which of its statements ask for handlers.
+    /// Which of the task's statements ask whether a handler may run first.
     pub fusing: Fusing,
 }
 
 impl Program {
-    /// Whether anything may interrupt it.
+    /// Whether anything may interrupt the task.
     #[must_use]
     pub fn is_interruptible(&self) -> bool {
         !self.handlers.is_empty() || self.takeover.is_some()
     }
 
-    /// Whether its variables or messages may hold ids of messages, which a canonical state cannot represent (D51).
+    /// Whether its variables or messages may hold message ids, which a canonical state cannot represent (D51).
     #[must_use]
     pub fn names_messages(&self) -> bool {
         self.code.contains(&Op::ReceivedId)
@@ -400,7 +400,7 @@ impl Program {
         self.handlers.get(usize::from(handler?))?.locals.get(usize::from(at))
     }
 
-    /// The handler of a trigger, and its position.
+    /// The handler that this trigger calls, and its position.
     pub(super) fn handler(&self, trigger: Trigger) -> Option<(u8, &Handler)> {
         let at = self.handlers.iter().position(|handler| handler.trigger == trigger)?;
         Some((u8::try_from(at).ok()?, &self.handlers[at]))
@@ -415,7 +415,7 @@ impl Program {
         })
     }
 
-    /// Whether the script waits for a lease before its body.
+    /// Whether the program waits for a lease before its body.
     pub(super) fn begins_with_a_lease(&self) -> bool {
         self.code.contains(&Op::Lease)
     }

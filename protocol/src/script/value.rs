@@ -115,9 +115,9 @@ pub enum Binary {
     LessOrEqual,
     Greater,
     GreaterOrEqual,
-    /// Of truth values: anything but 0 is true.
+    /// Logical "and". Anything but 0 is true.
     And,
-    /// Of truth values: anything but 0 is true.
+    /// Logical "or". Anything but 0 is true.
     Or,
 }
 
@@ -127,24 +127,24 @@ pub enum Predicate {
     /// `port.arrived(task)`: the task reached the waitfor, and no member has begun a later meeting there since. It stays
     /// true if the task then gives up, but not if the task restarts (D85).
     Arrived {
-        /// The waitfor.
+        /// The port of the waitfor.
         port: PortId,
-        /// The task.
+        /// The task whose arrival is asked about.
         task: TaskId,
     },
     /// `task.asked(port)`: the task has sent a class-2 message or a query on the port and waits.
     Asked {
-        /// The task.
+        /// The task that sent the message.
         task: TaskId,
-        /// The port.
+        /// The port of the message.
         port: PortId,
     },
     /// `task.answered(port)`: the task's last request on the port has been answered, by every task that was asked. Neither
     /// a refusal nor a time_out is an answer.
     Answered {
-        /// The task.
+        /// The task that made the request.
         task: TaskId,
-        /// The port.
+        /// The port of the request.
         port: PortId,
     },
     /// `task.active`: the task may act. It has begun and not ended, its node is up, and it holds its lease if it needs one
@@ -161,7 +161,7 @@ pub enum Term {
     Load(Slot),
     /// A variable of some task, in a `check`.
     Of {
-        /// The task.
+        /// The task that has the variable.
         task: TaskId,
         /// The position of the variable in the task's program.
         variable: u16,

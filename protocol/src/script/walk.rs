@@ -74,7 +74,7 @@ const ENDS: [End; 6] = [
 ];
 
 impl Script {
-    /// Walks the script. A pass that reads needs bytes of a script of the same program.
+    /// Walks the script. A pass that reads must get bytes that a script of the same program wrote.
     pub fn walk<W: Walk>(&mut self, program: &Program, w: &mut W) {
         let Self {
             standing,
@@ -84,7 +84,7 @@ impl Script {
             held,
             variables,
             locals,
-            // These two follow from the program.
+            // The program determines these two fields.
             width,
             acting: _,
             atomic,
@@ -143,7 +143,7 @@ impl Script {
         }
     }
 
-    /// Zeroes a dead variable: a checker knows from the program that it is written before it is read again.
+    /// Zeroes a dead variable: a checker knows from the program that the variable is written before it is read again.
     pub fn bury_variable(&mut self, index: u16) {
         if let Some(variable) = self.variables.get_mut(usize::from(index)) {
             *variable = 0;

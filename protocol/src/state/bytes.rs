@@ -11,9 +11,9 @@ use core::fmt;
 /// The numbers to which packed ids are relative.
 #[derive(Clone, Copy, Debug)]
 pub struct Frame<'a> {
-    /// For each port, the least round that is in use anywhere in the cell.
+    /// For each port, the least round that is that any task of the cell uses.
     pub rounds: &'a [Round],
-    /// For each task, the next sequence number that it will use.
+    /// For each task, the next sequence number that the task will use.
     pub sequences: &'a [Seq24],
     /// Whether nodes restart. If not, every incarnation is the first one and takes no bytes.
     pub incarnations: bool,
@@ -26,7 +26,7 @@ impl Frame<'_> {
     pub const SEQUENCE: Seq24 = Seq24::new(0x1000);
 }
 
-/// A state does not fit its packed form: a distance outgrew a byte. The checker treats it as an absorbing, visible
+/// A state does not fit its packed form: a distance outgrew a byte. The checker treats this as an absorbing, visible
 /// failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Overflow;
@@ -172,8 +172,8 @@ impl Walk for Encode<'_> {
     }
 }
 
-/// Reads bytes that an [`Encode`] wrote: rounds relative to [`Frame::ROUND`], sequences to [`Frame::SEQUENCE`], time to
-/// zero. Bytes past the end read as zero, and no bytes make it panic.
+/// Reads bytes that an [`Encode`] wrote. Rounds become relative to [`Frame::ROUND`], sequence numbers to
+/// [`Frame::SEQUENCE`], times to zero. Bytes past the end read as zero, and no bytes make the pass panic.
 #[derive(Debug)]
 pub struct Decode<'a> {
     bytes: &'a [u8],
@@ -198,7 +198,7 @@ impl<'a> Decode<'a> {
         pass.at
     }
 
-    /// Whether bytes are left.
+    /// Whether some bytes have not been read yet.
     #[must_use]
     pub const fn has_more(&self) -> bool {
         self.at < self.bytes.len()

@@ -9,8 +9,8 @@
 //! | [`Pass::Look`] | reads relative values, for example to find the least round in use |
 //! | [`Pass::Change`] | shifts relative values: rebases a clock, adds a constant to ids |
 //!
-//! A field is *walked*, or *rebuilt* from others by a pass that reads, or *ignored*: behaviour does not depend on it, and a
-//! comment says why.
+//! A field is *walked*, *rebuilt* by a pass that reads, from other fields, or *ignored*. Behaviour does not depend on an
+//! ignored field, and a comment says why.
 
 mod bytes;
 
@@ -93,7 +93,7 @@ pub trait Walk {
         byte
     }
 
-    /// Visits a number that fits a byte in all states that are checked.
+    /// Visits a number that fits into one byte in all states that are checked.
     fn count(&mut self, count: usize) -> usize {
         let byte = u8::try_from(count).unwrap_or_else(|_| {
             self.overflows();
@@ -102,7 +102,7 @@ pub trait Walk {
         if Self::PACKS { usize::from(self.put(byte)) } else { count }
     }
 
-    /// Visits a `u16` that fits a byte in all states that are checked.
+    /// Visits a `u16` that fits into one byte in all states that are checked.
     fn small(&mut self, number: &mut u16) {
         let read = self.count(usize::from(*number));
         if Self::READS {
@@ -159,7 +159,7 @@ pub trait Walk {
         }
     }
 
-    /// A length of time in the form of [`number`](Self::number): the greatest number stands for [`Ticks::FAR`].
+    /// Visits a length of time in the form of [`number`](Self::number): the greatest number stands for [`Ticks::FAR`].
     fn span(&mut self, span: &mut Ticks) {
         if !Self::PACKS {
             return;
@@ -170,14 +170,15 @@ pub trait Walk {
         *span = if number == u32::MAX { Ticks::FAR } else { Ticks(number.into()) };
     }
 
-    /// Visits a remaining time of something outside the machines; zero if it is over. With `forgets` it does not matter
-    /// for how long it has been over.
+    /// Visits the remaining time of something outside the machines; zero if that time is over. With `forgets`, behaviour
+    /// does not depend on how long ago the time ended.
     fn left(&mut self, left: &mut Ticks, forgets: bool) {
         let _ = forgets;
         self.span(left);
     }
 
-    /// The time since a packet was sent over its link. What remains of the packet that is walked next counts from then.
+    /// Visits the time since a packet was sent over its link. The remaining time of the packet that is walked next counts
+    /// from that instant.
     fn age(&mut self, age: &mut Ticks) {
         self.span(age);
     }
@@ -188,7 +189,7 @@ pub trait Walk {
         self.number_of_ticks(length);
     }
 
-    /// The bytes of [`length`](Self::length).
+    /// Visits the bytes of [`length`](Self::length).
     fn number_of_ticks(&mut self, length: &mut Ticks) {
         const LONG: u8 = u8::MAX - 1;
         if !Self::PACKS {
@@ -212,7 +213,7 @@ pub trait Walk {
         }
     }
 
-    /// Visits a byte that is packed only if `is`; otherwise it is zero.
+    /// Visits a byte that is packed only if `is` holds; otherwise the byte is zero.
     fn byte_if(&mut self, is: bool, byte: &mut u8) {
         if is {
             self.byte(byte);
@@ -234,7 +235,7 @@ pub trait Walk {
         list.iter_mut().for_each(|one| walk(one, self));
     }
 
-    /// Visits a list that is packed only if `is`; otherwise it is empty.
+    /// Visits a list that is packed only if `is` holds; otherwise the list is empty.
     fn list_if<T: Clone>(
         &mut self,
         is: bool,
@@ -287,7 +288,7 @@ pub trait Walk {
         }
     }
 
-    /// Visits an incarnation that may not be known yet. If no node restarts, it is the first one.
+    /// Visits an incarnation that may not be known yet. If no node restarts, it is always the first incarnation.
     fn known_incarnation(&mut self, incarnation: &mut Option<Incarnation>) {
         if !self.incarnations() {
             if Self::READS {

@@ -45,7 +45,7 @@ fn name(cell: &Cell, couple: &CoupleDecl) -> String {
     format!("{} -> {}", cell.tasks[couple.primary.index()].name, cell.tasks[couple.standby.index()].name)
 }
 
-/// Heartbeats need a port that joins only the two tasks: the standby queries, the primary responds.
+/// Checks the heartbeats' port: it must join only the two tasks of the couple: the standby queries, the primary responds.
 fn check_via(couple: &CoupleDecl, via: &Port, errors: &mut Vec<CellError>) {
     let usage = |task| via.parties.iter().find(|party| party.task == task).map(|party| party.usage);
     let fits = via.parties.len() == 2

@@ -22,7 +22,7 @@ impl Canonical<'_> {
     }
 }
 
-/// The hash that prefixes the checksum of a port's packets.
+/// The hash of a port, which the checksum of each of the port's packets covers first.
 pub(super) fn of_port(decl: &PortDecl) -> u32 {
     let mut c = Canonical(CRC.digest());
     c.text(&decl.name);

@@ -20,7 +20,7 @@ impl CellTable {
         for (place, &at) in sorted.iter().enumerate() {
             rank[at] = place;
         }
-        // The owner of a port and the members of a waitfor hear from all others, a user from the owner alone.
+        // The owner of a port and each member of a waitfor hear from all other ends. A user hears from the owner alone.
         let all = |at: usize| at == 0 || port.decl.usage == Usage::Waitfor;
         let slot =
             |of: usize, at: usize| if all(of) { rank[at] - usize::from(rank[of] < rank[at]) } else { 0 };
@@ -46,7 +46,7 @@ impl CellTable {
         }
     }
 
-    /// The last node before that of `to` on the path from `from`; `None` on one node.
+    /// The last node before that of `to` on the path from `from`; `None` if both tasks are on one node.
     fn ingress(&self, from: TaskId, to: TaskId) -> Option<NodeId> {
         let (from, to) = self.location(from).zip(self.location(to))?;
         self.path(from, to).take_while(|&node| node != to).last()

@@ -10,10 +10,10 @@ use alloc::sync::Arc;
 pub struct NodeTable {
     /// The cell's table.
     pub cell: Arc<CellTable>,
-    /// The node that the table belongs to.
+    /// The node to which the table belongs.
     pub node: NodeId,
-    /// Another table of the cell, by whose routes packets may come: the one that will replace the node's table, or the
-    /// one that it replaced (D184).
+    /// Another table of the cell, by whose routes packets may come: the table that will replace the node's table, or the
+    /// table that the node's table replaced (D184).
     pub(crate) other: Option<Arc<CellTable>>,
 }
 

@@ -5,20 +5,21 @@ use crate::ids::{NodeId, PortId, TaskId};
 use crate::ticks::Ticks;
 use alloc::boxed::Box;
 
-/// One end of a port: a task that owns or uses it, and the facts that a step of this task needs there.
+/// One end of a port: a task that owns or uses the port, and the facts that a step of this task needs about the port.
 #[derive(Clone, Debug)]
 pub struct Party {
-    /// The task.
+    /// The task at this end.
     pub task: TaskId,
     /// What the task does with the port.
     pub usage: Usage,
     /// The default time_out of the task's own requests on the port.
     pub time_out: Ticks,
-    /// How often its class-2 messages are retransmitted within that time (D5).
+    /// How often the task's class-2 messages are retransmitted within that time_out (D5).
     pub retry: u8,
-    /// The highest rate at which it sends (D53).
+    /// The highest rate at which the task sends (D53).
     pub rate: Option<Rate>,
-    /// The position of the port among those of the task, by which the communication task finds its state without a search.
+    /// The position of the port among those of the task, by which the communication task finds its state for the port
+    /// without a search.
     pub place: u16,
     /// The other ends to which this end sends and from which it hears, ascending by task.
     pub(crate) peers: Box<[Peer]>,
@@ -31,16 +32,16 @@ pub(crate) struct Peer {
     pub task: TaskId,
     /// The position of the other end among the parties of the port.
     pub party: u16,
-    /// The other end's position among the [`peers`](Party::peers): that of the source in an inbox.
+    /// The other end's position among this end's [`peers`](Party::peers). An inbox uses it as the position of the source.
     pub slot: u16,
-    /// The other end's position among the peers in the order of the parties: that of the recipient in an
-    /// outstanding request.
+    /// The other end's position among this end's peers in the order of the parties. An outstanding request uses it as the
+    /// position of the recipient.
     pub recipient: u16,
-    /// The slot of this end among the peers of the other.
+    /// The slot of this end among the peers of the other end.
     pub back: u16,
-    /// The neighbour that hands its packets to this node; `None` if both tasks run on one node.
+    /// The neighbour through which packets of the other end reach this node; `None` if both tasks run on one node.
     pub ingress: Option<NodeId>,
-    /// The summed bounds of the links between the two nodes, which are the same in both directions.
+    /// The summed bounds of the links between the nodes of the two ends. The sums are the same in both directions.
     pub bound: Ticks,
 }
 
@@ -61,13 +62,14 @@ impl<'a> Ends<'a> {
 }
 
 impl Party {
-    /// The time_out of a request of the task. The others at the port rely on the declared one, so a request may only shorten it.
+    /// The time_out of a request of the task. The other tasks of the port rely on the declared time_out, so a request may
+    /// only shorten it.
     #[inline]
     pub(crate) fn time_out_of(&self, wanted: Option<Ticks>) -> Ticks {
         wanted.map_or(self.time_out, |wanted| wanted.min(self.time_out))
     }
 
-    /// The end of `task`, if this end sends to it and hears from it.
+    /// What this end knows of the end of `task`, if this end sends to it and hears from it.
     #[inline]
     pub(crate) fn peer(&self, task: TaskId) -> Option<&Peer> {
         if let [only] = &*self.peers {
@@ -92,7 +94,7 @@ pub struct Port {
     pub decl: PortDecl,
     /// Owner first, then the users in the order of the `user_list`.
     pub parties: Box<[Party]>,
-    /// The hash that prefixes the checksum of the port's packets (D47).
+    /// The hash that the checksum of each of the port's packets covers first (D47).
     pub hash: u32,
     /// The safety margin of a `waitfor` (D2, D56); zero on other ports.
     pub margin: Ticks,
@@ -106,14 +108,14 @@ impl Port {
         if owner.task == task { Some(0) } else { owner.peer(task).map(|peer| peer.party.into()) }
     }
 
-    /// The end of the port that `task` has.
+    /// The end of `task` at the port.
     #[must_use]
     #[inline]
     pub fn party(&self, task: TaskId) -> Option<&Party> {
         let (owner, users) = self.parties.split_first()?;
         let party = match users {
             _ if owner.task == task => owner,
-            // Most ports have two ends.
+            // Most ports have one user, so this case comes first.
             [user] => user,
             _ => &self.parties[usize::from(owner.one_of_many(task)?.party)],
         };

@@ -12,10 +12,10 @@ pub enum TableError {
     NotNewer {
         /// The epoch of the node's table.
         held: u32,
-        /// The epoch of the refused table.
+        /// The epoch of the table that the node does not take.
         given: u32,
     },
-    /// The table declares others of these than the node's own, so the positions of its entries have another meaning.
+    /// The two tables declare different nodes, tasks, ports or the like, so positions in them mean different things.
     OtherSlots(&'static str),
 }
 
@@ -39,8 +39,8 @@ impl fmt::Display for TableError {
 impl core::error::Error for TableError {}
 
 impl NodeTable {
-    /// Whether this node may take `next` while it runs: all entries have the same positions, and the epoch is later than that of the
-    /// node's table, and not before that of a table that the node has learned.
+    /// Whether this node may take `next` while it runs. All entries must have the same positions. The epoch must be later
+    /// than that of the node's table, and not before that of a table that the node has learned.
     ///
     /// # Errors
     /// What differs, or the two epochs.
@@ -58,8 +58,8 @@ impl NodeTable {
             return Err(TableError::OtherSlots(what));
         }
         let (held, given) = (self.cell.epoch(), next.epoch());
-        // A table that arrives late must not replace a later one that this node has learned, because all other nodes
-        // may already route by that one.
+        // A table that arrives late must not replace a later one that this node has learned, because all other nodes may
+        // already route by the learned table.
         let latest = self.other.as_ref().map_or(held, |other| other.epoch().max(held));
         if given > held && given >= latest {
             Ok(())
@@ -68,24 +68,24 @@ impl NodeTable {
         }
     }
 
-    /// From now on the node also takes packets that come by the routes of `next`, and still sends by its own. If every node learns
-    /// a table before the first one [replaces](Self::replace) its own, no packet is dropped for its route. A node knows two tables:
-    /// learning one ends the knowledge of a former table that was not [retired](Self::retire) yet.
+    /// From now on the node also takes packets that come by the routes of `next`, and still sends by its own. If every node
+    /// learns a table before the first one [replaces](Self::replace) its own, no packet is dropped for its route. A node
+    /// knows two tables: a learned table takes the place of a former table that was not [retired](Self::retire) yet.
     ///
     /// # Errors
-    /// See [`check`](Self::check). Nothing has changed then.
+    /// See [`check`](Self::check). After an error nothing has changed.
     pub fn learn(&mut self, next: Arc<CellTable>) -> Result<(), TableError> {
         self.check(&next)?;
         self.other = Some(next);
         Ok(())
     }
 
-    /// From now on the node sends by the routes of `next`, and still takes packets that come by the former routes. Returns the
-    /// former table, with which [`Transit::reroute`](crate::Transit::reroute) and
-    /// [`CommTask::reroute`](crate::CommTask::reroute) must follow.
+    /// From now on the node sends by the routes of `next`, and still takes packets that come by the former routes. Returns
+    /// the former table. The caller passes it to [`Transit::reroute`](crate::Transit::reroute) and
+    /// [`CommTask::reroute`](crate::CommTask::reroute).
     ///
     /// # Errors
-    /// See [`check`](Self::check). Nothing has changed then.
+    /// See [`check`](Self::check). After an error nothing has changed.
     pub fn replace(&mut self, next: Arc<CellTable>) -> Result<Arc<CellTable>, TableError> {
         self.check(&next)?;
         let former = mem::replace(&mut self.cell, next);
@@ -93,8 +93,8 @@ impl NodeTable {
         Ok(former)
     }
 
-    /// From now on the node takes packets by its own routes alone. To be called once the longest time_out of the cell has passed
-    /// since the last node replaced its table: then no packet of the former routes is left.
+    /// From now on the node takes packets that come by its own routes alone. Call this once the longest time_out of the
+    /// cell has passed since the last node replaced its table: then no packet of the former routes is left.
     pub fn retire(&mut self) {
         self.other = None;
     }

@@ -21,14 +21,15 @@ impl CellTable {
         incarnations.max().unwrap_or_default()
     }
 
-    /// How long after its start a restarted node holds back the script of `task` (D94, D157). Until then
+    /// How long after its start a restarted node holds back the script of `task` (D94, D157). During this time
     ///
-    /// - commands and arrivals for its earlier incarnation are rejected ([`quarantine`](Self::quarantine)), so the script
-    ///   could only wait until its time_out;
-    /// - commands and arrivals of its earlier incarnation may still arrive, and be carried out after those of the new one;
-    /// - or a task of its own node that it asks or meets is held back.
+    /// - the task's communication task rejects commands and arrivals for the earlier incarnation
+    ///   ([`quarantine`](Self::quarantine)), so the script could only wait until its time_out;
+    /// - commands and arrivals that the earlier incarnation sent may still arrive, and be carried out after those of the
+    ///   new incarnation;
+    /// - or a task of the same node that the script asks or meets is held back.
     ///
-    /// Zero for a task that the cell does not have, and for one without such ports.
+    /// Zero for a task that the cell does not have, and for a task without such ports.
     #[must_use]
     pub fn held_back(&self, task: TaskId) -> Ticks {
         self.held_back.get(task.index()).copied().unwrap_or_default()
@@ -57,7 +58,7 @@ impl CellTable {
         }
     }
 
-    /// How long commands and arrivals of an earlier incarnation of `task` may still arrive anywhere.
+    /// How long commands and arrivals sent by an earlier incarnation of `task` may still arrive anywhere.
     fn sent(&self, task: TaskId) -> Ticks {
         let ports = self.lasting(task).filter(|(_, own)| sends(own.usage));
         let incarnations = ports.flat_map(|(port, own)| {
@@ -66,8 +67,9 @@ impl CellTable {
         incarnations.max().unwrap_or_default()
     }
 
-    /// The ports of `task` that carry commands or arrivals. Heartbeat ports are left out: leases have their own rule for restarts
-    /// (D80, D135). So are ports for replies to third parties: no task carries those out, and they expire as status messages do.
+    /// The ports of `task` that carry commands or arrivals. Heartbeat ports are left out: leases have their own rule for
+    /// restarts (D80, D135). So are ports for replies to third parties: no task carries out such a reply, and it expires as
+    /// a status message does.
     fn lasting(&self, task: TaskId) -> impl Iterator<Item = (&Port, &Party)> {
         let ports = self.ports_of(task).iter().filter_map(|&id| self.port(id));
         let lasts = |port: &&Port| match port.decl.usage {
@@ -106,7 +108,7 @@ mod tests {
     use alloc::vec::Vec;
 
     const FAR: TaskId = TaskId(0);
-    /// Tasks of one node, at a link delay of two ticks from the node of [`FAR`].
+    /// Three tasks of one node. A link with a delay of two ticks joins this node with the node of [`FAR`].
     const A: TaskId = TaskId(1);
     const B: TaskId = TaskId(2);
     const C: TaskId = TaskId(3);

@@ -9,11 +9,11 @@ use alloc::vec;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
-/// Links and nodes that routes avoid, because they have failed (D184). They stay declared: a task that can be reached
-/// only through them is still reached in that way.
+/// Links and nodes that routes avoid, because they have failed (D184). They stay declared: a task that can be reached only
+/// through them keeps its route through them.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Avoid {
-    /// Links, by their ends in either order. Parallel links are avoided together.
+    /// Links, each named by its two ends in either order. Parallel links are avoided together.
     pub links: Vec<(NodeId, NodeId)>,
     /// Nodes that relay no packets. Routes still begin and end there.
     pub relays: Vec<NodeId>,
@@ -53,9 +53,10 @@ impl Hop {
     }
 }
 
-/// For each (from, to), row-major, the route with the fewest avoided parts, then by summed link bound, then by number of links,
-/// then by the lower next node: a total order, so every node computes the same table (§5.2.3: static routing, established a
-/// priori). Each part of a route is the route between its ends, so the nodes on it agree.
+/// For each (from, to), row-major, the best route: the one with the fewest avoided parts, then with the least summed link
+/// bound, then with the fewest links, then with the lower next node. This is a total order, so every node computes the same
+/// table (§5.2.3: static routing, established a priori). Each part of a route is the route between the ends of that part,
+/// so the nodes on a route agree.
 pub(super) fn shortest(cell: &Cell, avoid: &Avoid) -> Box<[Option<Hop>]> {
     let n = cell.nodes.len();
     let mut routes: Vec<Option<Hop>> = vec![None; n * n];

@@ -8,9 +8,10 @@
 //! | [`unsent`](Client::unsent), [`restarted`](Client::restarted) | a copy never left the node; an asked node restarted |
 //! | [`close`](Client::close) | the task cancels the request |
 //!
-//! An [`Outstanding`] is the state of one request whose answers are awaited. The end of a wait is returned and not signalled here: the caller
-//! knows whether the waiting activation is the running one. Between two inputs a request is open exactly if an
-//! activation waits at it. Then an answer is missing, the deadline has not passed, and no copy is overdue.
+//! An [`Outstanding`] is the state of one request whose answers are awaited. The end of a wait is returned and not
+//! signalled here: only the caller knows whether the waiting activation is the running one. Between two inputs a request is
+//! open exactly if an activation waits at that request. Then an answer is missing, the deadline has not passed, and no copy
+//! is overdue.
 
 mod answers;
 mod check;
@@ -39,8 +40,8 @@ pub(crate) struct Client {
     overdue: Option<Overdue>,
 }
 
-/// The command that timed out last. It is kept for the variant that accepts late replies, under which its answer may still
-/// come.
+/// The command that timed out last. The field exists for the variant that accepts late replies, under which the command's
+/// answer may still come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 struct Overdue {
     port: PortId,
@@ -56,11 +57,11 @@ pub(crate) enum Sent {
     Request(u16),
 }
 
-/// The port, the TTL and the contents of a message.
+/// A message: its port, its TTL and its contents.
 type Message<'a> = (&'a Port, Ticks, Contents);
 
 impl Client {
-    /// A client without requests. It has room for one request on each port on which the task asks.
+    /// A client without requests. The client has room for one request on each port on which the task asks.
     pub fn new(table: &NodeTable, own: &Own) -> Self {
         let ports = own.ports(table, |role| matches!(role, Role::Asks(_)));
         let requests = ports.map(|(endpoint, port)| Outstanding::new(port, own.task, endpoint)).collect();
@@ -125,7 +126,7 @@ impl Client {
         }
     }
 
-    /// Whether the request at a position is closed: it has ended, and the task knows how.
+    /// Whether the request at this position is closed: the request has ended, and the task knows how.
     #[inline]
     pub fn is_closed(&self, request: u16) -> bool {
         self.requests[usize::from(request)].phase == Phase::Closed
@@ -147,7 +148,7 @@ impl Client {
         request.open_for(false, retry, message, now);
     }
 
-    /// Whether a request waits for exactly this answer.
+    /// Whether the request still waits for the answer of this recipient alone, to the message with this id.
     #[inline(always)]
     pub fn waits_only_for(&self, request: u16, recipient: u16, id: MessageId) -> bool {
         let request = &self.requests[usize::from(request)];
@@ -155,8 +156,8 @@ impl Client {
         !request.set && request.phase == Phase::Open && asked.waits_for(id)
     }
 
-    /// [`answer`](Self::answer) in a fused step, for the answer that [`waits_only_for`](Self::waits_only_for) allows. Returns
-    /// the deadline that the request had.
+    /// [`answer`](Self::answer) in a fused step, for an answer for which [`waits_only_for`](Self::waits_only_for) is true.
+    /// Returns the deadline that the request had.
     #[inline(always)]
     pub fn close_fused(&mut self, request: u16, recipient: u16) -> Instant {
         let request = &mut self.requests[usize::from(request)];
@@ -187,8 +188,8 @@ impl Client {
         (request.port, request.answers())
     }
 
-    /// Reports an answer of several fragments: returns the first one. The others stay readable until the next request on the
-    /// port.
+    /// Reports an answer of several fragments: returns the first fragment. The other fragments stay readable until the next
+    /// request on the port.
     pub fn tell_long(&mut self, request: u16) -> Contents {
         let request = &mut self.requests[usize::from(request)];
         request.tell();
@@ -215,7 +216,7 @@ impl Client {
         (request.port, request.open().next().map(|recipient| recipient.task), request.deadline)
     }
 
-    /// Does what is [`due`](Self::due) for the request at a position: times it out, or retransmits it.
+    /// Does what is [`due`](Self::due) for the request at this position: times the request out, or retransmits it.
     pub fn advance(&mut self, step: &mut Step<'_, impl Outbox>, request: u16) -> Option<Ended> {
         let at = usize::from(request);
         let request = &self.requests[at];
@@ -261,7 +262,7 @@ impl Client {
         }
     }
 
-    /// Validates a deserialised client: its requests must match those of a new one.
+    /// Validates a deserialised client: its requests must match those of a new client.
     pub fn is_like(&self, new: &Self) -> bool {
         are_alike(&self.requests, &new.requests, Outstanding::is_like)
     }

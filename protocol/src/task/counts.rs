@@ -4,7 +4,7 @@ use crate::observe::PortCounters;
 use core::ops::AddAssign;
 use serde::{Deserialize, Serialize};
 
-/// A saturating counter of 48 bits: at a million counts per second it is full after 8.9 years.
+/// A saturating counter of 48 bits: at a million counts per second the counter is full after 8.9 years.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(from = "u64", into = "u64")]
 pub(crate) struct Count([u16; 3]);
@@ -31,7 +31,7 @@ impl AddAssign<u64> for Count {
     #[inline]
     fn add_assign(&mut self, more: u64) {
         let low = &mut self.0[0];
-        // Nearly always one more is counted, and the sum fits into the low part.
+        // Nearly always `more` is 1, and the sum fits into the low part.
         match u16::try_from(more).ok().and_then(|more| low.checked_add(more)) {
             Some(sum) => *low = sum,
             None => self.carry(more),

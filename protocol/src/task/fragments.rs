@@ -93,7 +93,7 @@ impl Parts {
         }
     }
 
-    /// Validates deserialised fragments: their capacity is that of `new`, and no fragment is beyond it.
+    /// Validates deserialised fragments: their capacity is that of `new`, and every fragment is within that capacity.
     pub fn has_room_of(&self, new: &Self) -> bool {
         self.room() == new.room() && is_within(self.have(), self.room())
     }
@@ -107,7 +107,7 @@ pub(crate) struct Assembly {
     pub have: u16,
     /// The number of fragments of the message, which is known once the last fragment is here.
     pub fragments: Option<u8>,
-    /// The earliest deadline of the fragments that are here. For a command, the link delay of the reply is subtracted.
+    /// The earliest deadline of the fragments that have come. For a command, the link delay of the reply is subtracted.
     pub expires: Instant,
     pub contents: Box<[Contents]>,
 }
@@ -194,7 +194,7 @@ impl Assembly {
         self.contents.get(usize::from(index)).filter(|_| here)
     }
 
-    /// Validates a deserialised assembly: its capacity is that of `new`, and no fragment is beyond it.
+    /// Validates a deserialised assembly: its capacity is that of `new`, and every fragment is within that capacity.
     pub fn has_room_of(&self, new: &Self) -> bool {
         let most = self.contents.len();
         let known = self.fragments.is_none_or(|fragments| usize::from(fragments) <= most.max(1));
@@ -215,8 +215,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Fragments may come in any order and as copies. The message is complete with its last missing fragment, and never
-        /// before.
+        /// Fragments may come in any order and as copies. The message becomes complete exactly when the last missing
+        /// fragment comes.
         #[test]
         fn a_message_is_whole_when_every_fragment_came(fragments in 1..=16_u8, order in proptest::collection::vec(0..16_u8, 0..60)) {
             let mut assembly = Assembly::new(16);

@@ -1,11 +1,12 @@
 //! Fused steps: two tasks of one node exchange a message in one step (D176), or a task answers and waits for its next message (D200).
 //!
-//! A message to a task that waits for it or whose port has room for it, and the answer to a task that waits for that, take
-//! several small steps otherwise: a request, a packet, the route, and the input of the other task. Each function here first checks that nothing unusual
-//! is involved, and then makes the same changes as those steps, with the same signals and observations in the same order.
-//! If anything is unusual it returns false and has changed nothing; then the caller takes the small steps.
+//! Without fused steps, a message takes several small steps: a request, a packet, the route, and the input of the other
+//! task. So does an answer. A fused step takes a message to a task that waits for it or whose port has room for it, or an
+//! answer to a task that waits for it. Each function here first checks that nothing unusual is involved. Then it makes the
+//! same changes as the small steps, with the same signals and observations in the same order. If anything is unusual, the
+//! function returns false and changes nothing, and the caller takes the small steps.
 //!
-//! The checker explores the small steps, and compares both wherever a fused step applies.
+//! The checker explores the small steps, and compares them with the fused step wherever a fused step applies.
 
 mod getting;
 mod meeting;

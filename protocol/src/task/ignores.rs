@@ -1,4 +1,4 @@
-//! Packets that no future of a communication task can notice: a reduction for the model checker.
+//! Packets that a communication task will never notice, whatever happens later: a reduction for the model checker.
 
 use super::{CommTask, Role};
 use crate::ids::{Incarnation, PortId, Round, TaskId};
@@ -6,13 +6,14 @@ use crate::packet::{Kind, Packet};
 use crate::table::NodeTable;
 
 impl CommTask {
-    /// Whether this task behaves the same with and without `packet`, whenever it arrives. Conservative: false if that
-    /// is not certain. Counters and observations do not count. `source` is the present state of the packet's sender:
+    /// Whether this task behaves the same with and without `packet`, whenever the packet arrives. Conservative: false if
+    /// this is not certain. Counters and observations do not count. `source` is the present state of the packet's sender:
     /// in a world whose nodes never restart, an answer that the sender would ignore may be left out.
     #[must_use]
     pub fn ignores(&self, table: &NodeTable, packet: &Packet, source: &Self) -> bool {
         if let Some(meeting) = self.own.meeting(packet.port) {
-            // An ABORT as an answer would void an arrival that the source still needs, because it owes a CONFIRM.
+            // A source that owes a CONFIRM would not ignore an ABORT as the answer: the ABORT would void an arrival that it
+            // still needs.
             let round = packet.meeting().round;
             let over_there = source.is_over(packet.port, round) && source.owes(packet.port) != Some(round);
             return self.machines.meetings.at(meeting).ignores(table, packet, over_there);
@@ -24,7 +25,7 @@ impl CommTask {
             && !self.outstanding().any(|(_, _, id)| id == packet.id)
     }
 
-    /// Whether this task never waits again in `round` of a waitfor port, or takes no part in it.
+    /// Whether this task never waits again in `round` of a waitfor port, or takes no part in that waitfor.
     #[must_use]
     pub fn is_over(&self, port: PortId, round: Round) -> bool {
         let meeting = self.own.meeting(port);
@@ -37,7 +38,7 @@ impl CommTask {
         self.machines.meetings.at(self.own.meeting(port)?).owes()
     }
 
-    /// The incarnation in which this task last heard a member of a waitfor port.
+    /// The incarnation in which a member of a waitfor port was when this task last heard from it.
     #[must_use]
     pub fn heard_in(&self, table: &NodeTable, port: PortId, member: TaskId) -> Option<Incarnation> {
         self.machines.meetings.at(self.own.meeting(port)?).heard_in(table.port(port)?, member)

@@ -11,8 +11,8 @@
 //! | [`delay`](Interrupts::delay), [`start`](Interrupts::start), [`stop`](Interrupts::stop) | arm or disarm the node's Timer |
 //! | [`time_is_over`](Interrupts::time_is_over) | the node's Timer reports an end |
 //!
-//! Between two inputs at most [`DEPTH`] handlers run, and none ranks lower than what it interrupted. Each interrupted activation
-//! waits, or the end of its wait is kept. Delays and timers of a task have different names.
+//! Between two inputs at most [`DEPTH`] handlers run, and none ranks lower than the activation that it interrupted. Each
+//! interrupted activation waits, or the end of its wait is kept. Delays and timers of a task have different names.
 
 mod check;
 mod offer;
@@ -32,7 +32,7 @@ use alloc::boxed::Box;
 use serde::{Deserialize, Serialize};
 use timers::Timers;
 
-/// How many handlers can run at the same time, each having interrupted the one before.
+/// How many handlers can run at the same time, each of which has interrupted the one before.
 pub(crate) const DEPTH: usize = ServiceOrder::LEVELS + 2;
 
 /// How many timers of one task can run at the same time.
@@ -41,7 +41,8 @@ pub(crate) const TIMERS: usize = 8;
 /// An activation: the task's own thread, or a handler.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Activation {
-    /// The rank that a message must outrank to interrupt this handler. For the task's own thread, `order` has that rank.
+    /// The rank that a message must outrank to interrupt this handler. For the task's own thread, the `order` gives this
+    /// rank instead.
     rank: u8,
     atomic: bool,
     pub pending: Pending,
@@ -63,7 +64,8 @@ pub(crate) struct Interrupts {
     depth: u8,
     /// Whether the handler that began last took a capped message (D76).
     capped_last: bool,
-    /// The number that the next start of a delay or timer gets. By this number a stale report is recognised.
+    /// The number that the next start of a delay or timer gets. The Timer's report carries it, so that a report of an
+    /// earlier start is recognised.
     next_turn: u8,
     timers: Timers,
 }
@@ -129,8 +131,8 @@ impl Interrupts {
         self.running.atomic = atomic;
     }
 
-    /// Ends a wait. Returns true if the running activation waited: then its end must be signalled now. Otherwise the end is
-    /// kept until that activation [resumes](Self::resume).
+    /// Ends a wait. Returns true if the running activation had this wait: then the caller must signal the end now.
+    /// Otherwise the end is kept until the waiting activation [resumes](Self::resume).
     pub fn conclude(&mut self, wait: Pending, finished: &Finished) -> bool {
         if self.running.pending == wait {
             self.running.pending = Pending::Nothing;
@@ -143,7 +145,7 @@ impl Interrupts {
         false
     }
 
-    /// Notes that the external action of the running activation has ended.
+    /// Notes that the action of the running activation has ended.
     pub fn done(&mut self) -> Result<(), Fault> {
         if self.running.pending == Pending::Work {
             self.end_wait();
@@ -162,7 +164,7 @@ impl Interrupts {
         room && open && (at_boundary || running.pending != Pending::Nothing)
     }
 
-    /// Whether the task's own thread waits in a GET. A handler then interrupts nothing.
+    /// Whether the task's own thread waits in a GET and no handler runs. A handler that begins then interrupts nothing.
     fn is_idle_get(&self) -> bool {
         self.depth == 0 && matches!(self.running.pending, Pending::Get { .. })
     }
@@ -172,8 +174,8 @@ impl Interrupts {
         if self.depth == 0 { own.order.own() } else { self.running.rank }
     }
 
-    /// Whether something of this rank may interrupt the running activation. `capped` says that it was rejected as often as
-    /// it can be.
+    /// Whether something of this rank may interrupt the running activation. `capped` says that the message was rejected as
+    /// often as possible.
     pub fn outranks(&self, table: &NodeTable, own: &Own, rank: u8, capped: bool) -> bool {
         !table.rules().obey_order
             || self.is_idle_get()
@@ -194,12 +196,12 @@ impl Interrupts {
         if self.is_idle_get() { Instant::NEVER } else { now }
     }
 
-    /// The turn of a capped message; among capped messages, the one with the earliest first rejection goes first.
+    /// The turn of a capped message. Among capped messages, the message with the earliest first rejection goes first.
     pub fn capped_turn(&self, rejected_first: u64) -> Turn {
         if self.capped_last { Turn::CappedAgain(rejected_first) } else { Turn::Capped(rejected_first) }
     }
 
-    /// Notes which turn the first offer had.
+    /// Notes the turn of the offer that was taken.
     pub fn note_turn(&mut self, turn: Turn) {
         match turn {
             Turn::Capped(_) | Turn::CappedAgain(_) => self.capped_last = true,
@@ -219,8 +221,8 @@ impl Interrupts {
         self.depth += 1;
     }
 
-    /// Ends the running handler and resumes the activation below it. Returns how the wait of that activation ended, if it
-    /// ended meanwhile (R16).
+    /// Ends the running handler and resumes the activation below it. Returns how the wait of that activation ended, if the
+    /// wait ended meanwhile (R16).
     pub fn resume(&mut self) -> Result<Option<Finished>, Fault> {
         if self.depth == 0 {
             return Err(Fault::NotInterrupted);
@@ -241,7 +243,7 @@ impl Interrupts {
         handler
     }
 
-    /// Validates deserialised activations: the stack has its capacity, and everything for which they wait exists.
+    /// Validates deserialised activations: the stack has its capacity, and everything for which an activation waits exists.
     pub fn is_whole(&self, is: impl Fn(Pending) -> bool) -> bool {
         let named = |activation: &Activation| {
             let ended = match activation.finished {

@@ -1,5 +1,5 @@
-//! The invariants of a communication task after every input. The checker, the simulator, the replay of recordings and
-//! debug runs call [`check`]. A violation is a fault of the machine, never of a program or of the network.
+//! The invariants of a communication task after every input. The checker, the simulator, the replay of recordings and debug
+//! runs call [`check`]. A violation is a fault of the state machine, never of a program or of the network.
 
 pub use super::violation::Violation;
 

@@ -1,19 +1,19 @@
-//! The lease of a couple: of two work-coupled tasks one acts, and when it fails the other takes over (§2; D30, D61).
+//! The lease of a couple: one of two work-coupled tasks acts, and when it fails the other task takes over (§2; D30, D61).
 //!
-//! A time_out cannot tell a dead partner from a slow one, so the task that acts holds a *lease*. Its partner sends it
-//! *heartbeats*. Each one is answered, and a heartbeat echoes the newest answer that its sender received. Only such
-//! an echo renews the lease, and the lease counts from the *sending* of the echoed answer. The partner received that
-//! answer no earlier, and from then on waits longer than the lease before it takes over. So the two never act at the
-//! same time, however slow the network, as long as the take-over exceeds the lease by the clock drift and a tick.
+//! A time_out cannot tell a dead partner from a slow one, so the task that acts holds a *lease*. The partner sends
+//! *heartbeats* to this task, which answers each one. A heartbeat echoes the newest answer that its sender received. Only
+//! such an echo renews the lease, and the lease counts from the *sending* of the echoed answer. The partner received that
+//! answer no earlier, and from then on waits longer than the lease before it takes over. So the two never act at the same
+//! time, however slow the network, as long as the take-over exceeds the lease by the clock drift and a tick.
 //!
-//! Each period of acting has its own *epoch*, and actuators drop commands of an older one. The primary's epochs are
-//! odd and the standby's even, so each can count up alone. Before the primary acts, its answers propose the epoch,
-//! and only an echo of such an answer lets it act. So a standby that takes over has heard of every epoch that the
-//! primary began (D80). A restarted node has forgotten the epochs, and its first one could seem newer than any. It
-//! marks its epoch as a guess until it hears of another, and its partner does not take a guess for newer (D135).
+//! Each period of acting has its own *epoch*, and actuators drop commands of an older epoch. The primary's epochs are odd
+//! and the standby's even, so each task can count up alone. Before the primary acts, its answers propose the epoch, and
+//! only an echo of such an answer lets it act. So a standby that takes over has heard of every epoch that the primary began
+//! (D80). A restarted task has forgotten the epochs, and its first epoch could seem newer than all others. So it marks its
+//! epoch as a guess until it hears of another epoch, and its partner never treats a guess as newer (D135).
 //!
-//! With `<->` a take-over exchanges the roles. The task that took over acts alone until its partner is back. So a partner that
-//! was away may take over only once an answer says that the other task depends on its heartbeats.
+//! With `<->` a take-over exchanges the roles. The task that took over acts alone until its partner is back. A partner that
+//! comes back may take over only after an answer says that the acting task again depends on its heartbeats.
 //!
 //! | input | effect |
 //! |---|---|
@@ -22,8 +22,8 @@
 //! | [`publish`](Lease::publish) | sets what the answers carry from here on |
 //! | [`retire`](Lease::retire) | the task stops acting for good, so that its partner takes over |
 //!
-//! The first two return the epoch if the task begins to act. Between two inputs no task acts past its lease, and a
-//! pending call ([`called`](Lease::called)) is still true.
+//! `advance` and `hear` return the epoch if the task begins to act. Between two inputs no task acts past its lease, and a
+//! pending call ([`called`](Lease::called)) still describes the present state.
 
 mod check;
 mod heartbeats;
@@ -41,13 +41,13 @@ use crate::table::{NodeTable, Port};
 use crate::ticks::{Instant, Ticks};
 use serde::{Deserialize, Serialize};
 
-/// How many recent answers are remembered because an echo of them may still come.
+/// How many recent answers a task remembers, because an echo of each of them may still come.
 const ANSWERS: usize = 4;
 
 /// The present role of one task of the couple.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 enum Post {
-    /// The task does not act. It waits for the lease, or to take over.
+    /// The task does not act. It waits for the lease or for the take-over.
     Waits,
     /// The task acts until this instant, unless the lease is renewed.
     Leased(Instant),
@@ -57,8 +57,8 @@ enum Post {
     Passive,
 }
 
-/// A heartbeat that was answered. The task that answered notes until when an echo of that answer renews the lease. The
-/// partner notes until when the answer is worth echoing.
+/// A heartbeat that was answered. The task that sent the answer notes until when an echo of it renews the lease. The
+/// partner notes until when echoing the answer is useful.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 struct Answered {
     heartbeat: Seq24,
@@ -73,23 +73,23 @@ pub(crate) struct Lease {
     primary: bool,
     partner: TaskId,
     post: Post,
-    /// The epoch under which the task acts or would act, or the newest one that it has heard of.
+    /// The epoch under which the task acts or would act, or the newest epoch of which it has heard.
     epoch: u8,
     /// Whether `epoch` is a proposal: the task's answers announce it, and no task has acted in it.
     proposed: bool,
     /// Whether `epoch` is a guess: since its restart, the task has neither heard of an epoch nor acted.
     guessed: bool,
-    /// The partner's incarnation that received the answers below, and that sent the echoed one.
+    /// The partner's incarnation that received the answers in `answered`, and that sent the answer in `echo`.
     incarnation: Option<Incarnation>,
-    /// The heartbeats that were answered last, newest first.
+    /// The partner's heartbeats that this task answered last, newest first.
     answered: [Option<Answered>; ANSWERS],
-    /// The newest heartbeat that was answered. An older heartbeat or a copy is answered, too, but not recorded, because the
-    /// lease never counts from the answer to a copy.
+    /// The newest of the partner's heartbeats that this task answered. An older heartbeat or a copy is answered, too, but
+    /// not recorded, because the lease never counts from the answer to a copy.
     newest: Option<Seq24>,
-    /// The newest heartbeat of this task that its partner answered. The next heartbeat echoes that answer, as long as this
-    /// may renew the lease.
+    /// The newest heartbeat of this task that its partner answered. The next heartbeat echoes that answer, as long as the
+    /// echo may renew the lease.
     echo: Option<Answered>,
-    /// When the next heartbeat is due.
+    /// When this task sends its next heartbeat.
     heartbeat_at: Instant,
     /// When this task takes over if no answer comes before that.
     takeover_at: Instant,
@@ -100,7 +100,7 @@ pub(crate) struct Lease {
     call: Option<Call>,
 }
 
-/// The codes for the sender's role in the answer to a heartbeat.
+/// The codes that stand in the answer to a heartbeat for the role of its sender.
 const WAITS: u8 = 0;
 const LEASED: u8 = 1;
 const ALONE: u8 = 2;
@@ -108,7 +108,7 @@ const ALONE: u8 = 2;
 const ECHO_BYTES: usize = 4;
 
 impl Lease {
-    /// The task's side of its couple at the start of an incarnation; `None` if it is in no couple.
+    /// The task's side of its couple at the start of an incarnation; `None` if the task is in no couple.
     pub fn new(table: &NodeTable, own: &Own) -> Option<Self> {
         let heartbeats = own.endpoints.iter().rfind(|endpoint| endpoint.role == Role::Heartbeats)?;
         let (couple, decl) = couple_of(table, heartbeats.port, own.task)?;
@@ -162,12 +162,12 @@ impl Lease {
         self.couple
     }
 
-    /// The epoch under which the task acts, or the newest that it has heard of.
+    /// The epoch under which the task acts, or the newest epoch of which it has heard.
     pub const fn epoch(&self) -> u8 {
         self.epoch
     }
 
-    /// The remaining lease, if one runs.
+    /// The remaining time of the lease, if a lease runs.
     pub fn left(&self, now: Instant) -> Option<Ticks> {
         match self.post {
             Post::Leased(until) => Some(until - now),
@@ -180,12 +180,12 @@ impl Lease {
         &self.said
     }
 
-    /// Whether a fence or a take-over is pending, of which the task has not been told.
+    /// Whether a fence or a take-over is pending that the task has not been signalled yet.
     pub const fn called(&self) -> bool {
         self.call.is_some()
     }
 
-    /// Takes the pending call, so that the task can be told.
+    /// Takes the pending call, so that the task can be signalled.
     pub const fn take_call(&mut self) -> Option<Call> {
         self.call.take()
     }
@@ -211,7 +211,7 @@ impl Lease {
         Ok(())
     }
 
-    /// The wire form of a message on a port that acts under the lease of `couple`: the contents, then the epoch.
+    /// The contents of a message on a port that acts under the lease of `couple`, with the epoch appended.
     pub fn with_epoch(&self, couple: u8, contents: Contents) -> Result<Contents, Fault> {
         if self.couple != couple || !self.acts() {
             return Err(Fault::Fenced);
@@ -317,13 +317,13 @@ impl Lease {
         }
     }
 
-    /// The next epoch of this side: the primary's are odd, the standby's even.
+    /// The next epoch of this side: the primary's epochs are odd, the standby's are even.
     const fn next_epoch(&self) -> u8 {
         let own = self.epoch % 2 == self.primary as u8;
         self.epoch.wrapping_add(if own { 2 } else { 1 })
     }
 
-    /// Validates a deserialised lease: it belongs to the same couple and side as a new one.
+    /// Validates a deserialised lease: it belongs to the same couple and side as a new lease.
     pub fn is_like(&self, new: &Self) -> bool {
         (self.couple, self.primary, self.partner) == (new.couple, new.primary, new.partner)
     }

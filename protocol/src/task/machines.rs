@@ -1,4 +1,5 @@
-//! The dispatcher: it hands each input to the part that the input concerns, and that part's results to the other parts.
+//! The dispatcher: it hands each input to the part that the input concerns, and passes that part's results to the other
+//! parts.
 
 use super::client::Client;
 use super::interrupts::{Interrupts, Offer, What};
@@ -114,7 +115,7 @@ impl Machines {
         }
     }
 
-    /// Does everything that is due by now, and nothing else (§5.1.2).
+    /// Does everything that is due by the time of the step, and nothing else (§5.1.2).
     pub fn advance(&mut self, step: &mut Step<'_, impl Outbox>) {
         self.server.advance(step);
         if let Pending::Get { deadline, .. } = self.interrupts.pending()
@@ -138,7 +139,7 @@ impl Machines {
         self.grant(step, granted);
     }
 
-    /// The lowest request, `from` or later, at which something is due.
+    /// The lowest request from position `from` on at which something is due.
     fn due_request(&self, from: u16, now: Instant) -> Option<u16> {
         self.interrupts
             .open_requests()
@@ -164,7 +165,8 @@ impl Machines {
         if quiet && self.interrupts.depth() == 0 { wait } else { self.due_with(wait) }
     }
 
-    /// The next instant at which something other than the wait of the running activation is due, or that wait.
+    /// The earlier of two instants: `wait`, at which the wait of the running activation ends, and the next instant at which
+    /// anything else is due.
     #[inline(never)]
     fn due_with(&self, wait: Instant) -> Instant {
         // The next offer of a rejected message matters only if a handler could begin.
@@ -205,15 +207,16 @@ impl Machines {
         }
     }
 
-    /// Lets the task act under this epoch from now on, and completes the request that waits for the lease. If there is no
-    /// such request, a take-over stays a pending call, and a grant by an echo is only observed.
+    /// Lets the task act under this epoch from now on, and completes the task's request that waits for the lease. If the
+    /// task has made no such request, a take-over stays a pending call, and a grant by an echo is only observed.
     fn grant(&mut self, step: &mut Step<'_, impl Outbox>, epoch: Option<u8>) {
         let Some(epoch) = epoch.filter(|_| self.interrupts.waits(Pending::Lease)) else { return };
         self.lease.as_mut().and_then(Lease::take_call);
         self.conclude(step, Pending::Lease, &Finished::Granted(epoch));
     }
 
-    /// Ends a wait. Signals its end if the running activation had it; otherwise stores it until that activation resumes.
+    /// Ends a wait. Signals the end of the wait if the running activation waited; otherwise stores it until the waiting
+    /// activation resumes.
     fn conclude(&mut self, step: &mut Step<'_, impl Outbox>, wait: Pending, finished: &Finished) {
         if self.interrupts.conclude(wait, finished) {
             self.tell(step, finished);
@@ -235,7 +238,7 @@ impl Machines {
         });
     }
 
-    /// Delivers the most urgent message that matches a GET. Returns false if there is none.
+    /// Delivers the most urgent message that matches a GET. Returns false if there is no such message.
     pub fn serve(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -328,7 +331,8 @@ impl Machines {
         let finished = self.interrupts.resume()?;
         note_handler(step, Event::Resumed, self.interrupts.depth());
         if let Some(finished) = finished {
-            // The lease was granted and lost again while the handler ran, so the activation goes on waiting for it.
+            // The lease was granted and lost again while the handler ran, so the resumed activation goes on waiting for the
+            // lease.
             if matches!(finished, Finished::Granted(_)) && !self.lease.as_ref().is_none_or(Lease::acts) {
                 self.interrupts.wait(Pending::Lease);
             } else {

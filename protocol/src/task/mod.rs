@@ -4,7 +4,7 @@
 //! no lock, accepts every input in every state, and allocates only for the first handler of a port. The drivers (model checker,
 //! threaded runtime, simulator, replay of recordings) differ only in where the inputs come from.
 //!
-//! It consists of five parts. Each owns its state and can be read by itself:
+//! A communication task consists of five parts. Each part owns its state and can be read by itself:
 //!
 //! | part | responsible for |
 //! |---|---|
@@ -74,7 +74,7 @@ pub enum Input {
     TimeOut {
         /// The name of the delay or timer.
         id: TimeId,
-        /// The number of the start of this delay or timer. A report of an earlier start is stale.
+        /// The number of the start of this delay or timer. A report with the number of an earlier start is stale.
         turn: u8,
     },
     /// The transit buffer dropped a copy of the request with this id before the copy left the node.
@@ -84,9 +84,10 @@ pub enum Input {
 }
 
 /// The communication task of one task. [`CommTask::new`] allocates its storage, sized from the declaration. Only the first
-/// [`Request::Handle`] of a port adds to it (D108).
+/// [`Request::Handle`] of a port allocates more (D108).
 ///
-/// Serialised as a whole, it is a keyframe of a recording. The packed bytes of an [`Encode`](crate::Encode) are for checkers.
+/// Serialised as a whole, a communication task is a keyframe of a recording. The packed bytes of an
+/// [`Encode`](crate::Encode) are for checkers.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct CommTask {
     own: Own,
@@ -135,7 +136,7 @@ impl CommTask {
                 return;
             }
         }
-        // A request of a waiting activation gets its signal below; an offer would be a second signal.
+        // A request of a waiting activation gets its signal below; an offer before it would be a second signal.
         let answered = matches!(input, Input::Request(_)) && !self.is_idle();
         self.due = None;
         let Self { own, machines, .. } = self;
@@ -153,8 +154,8 @@ impl CommTask {
         }
     }
 
-    /// Moves the task's clock to `now` if nothing is due by then. False, and nothing has changed, if something is, or under a rule by
-    /// which time changes what waits.
+    /// Moves the task's clock to `now` if nothing is due by then. Returns false, and changes nothing, if something is due,
+    /// or if a rule of the cell lets waiting messages change with time.
     #[inline]
     pub fn let_idle_time_pass(&mut self, table: &NodeTable, now: Instant) -> bool {
         let is_idle = now < self.keep_deadline() && table.rules().charge_residence;
@@ -164,9 +165,10 @@ impl CommTask {
         is_idle
     }
 
-    /// Follows a table that replaced `former` between two inputs, at the task's own time. What depends on a route is read from the
-    /// table in each step, except the deadlines of waiting commands and of incomplete ones: they reserve the way back (D18, D184).
-    /// Those that are over now are dropped. Nothing else is put out than observations.
+    /// Adapts to a table that replaced `former` between two inputs, at the task's own time. Each step reads from the table
+    /// what depends on a route. Only the deadlines of waiting and incomplete commands are stored, and these reserve the
+    /// time for the way back (D18, D184). Commands whose new deadlines have passed are dropped. The outbox gets
+    /// observations only.
     pub fn reroute(&mut self, former: &CellTable, table: &NodeTable, out: &mut impl Outbox) {
         let Self { own, machines, due } = self;
         machines.server.reroute(own, former, table);
@@ -187,7 +189,7 @@ impl CommTask {
         self.due.unwrap_or_else(|| self.machines.due())
     }
 
-    /// As [`next_deadline`](Self::next_deadline), and keeps the result for the next input.
+    /// As [`next_deadline`](Self::next_deadline), but also keeps the result for the next input.
     #[inline]
     pub fn keep_deadline(&mut self) -> Instant {
         let due = self.next_deadline();
@@ -236,9 +238,9 @@ impl CommTask {
         self.machines.server.fragment(index)
     }
 
-    /// The answer of a task to the last request on a port, if several tasks were asked or answers take several
-    /// packets. Valid until the next request on that port. Packed states leave it out once the request has ended: a
-    /// checker reads it with the signal.
+    /// The answer of a task to the last request on a port, if several tasks were asked or answers take several packets.
+    /// Valid until the next request on that port. Packed states leave the answer out once the request has ended: a checker
+    /// reads it with the signal.
     #[must_use]
     pub fn answer_of(&self, port: PortId, task: TaskId) -> Option<&Contents> {
         self.answer_fragment(port, task, 0)
@@ -263,7 +265,7 @@ impl CommTask {
             || self.own.inbox(to.port).is_some_and(|inbox| server.can_answer(inbox, to, self.own.now))
     }
 
-    /// The message of `task` that was taken on this port and is not answered; there is at most one (D75).
+    /// The message of `task` that the task took on this port and has not answered; there is at most one (D75).
     #[must_use]
     pub fn owed(&self, port: PortId, task: TaskId) -> Option<ReplyTo> {
         self.machines.server.owed(self.own.inbox(port)?, task)
@@ -284,7 +286,7 @@ impl CommTask {
     /// The remaining lease: how long from [`now`](Self::now) this task may act without hearing from its partner. `None` if no
     /// lease runs: the task is in no couple, acts alone after a take-over, or does not act.
     ///
-    /// After a driver was suspended, it compares this with the time that passed, to learn whether the lease has ended.
+    /// A driver that was suspended compares this with the time that passed, to learn whether the lease has ended.
     #[must_use]
     pub fn lease_left(&self) -> Option<Ticks> {
         self.machines.lease.as_ref()?.left(self.own.now)

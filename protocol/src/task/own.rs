@@ -129,8 +129,8 @@ impl Own {
         mine.filter_map(|(place, endpoint)| Some((index(place), table.port(endpoint.port)?)))
     }
 
-    /// Whether a message of `source` may have been meant for an earlier incarnation of the task (D49). Tasks of the
-    /// same node restarted together with it, so their messages are new (D157).
+    /// Whether a message of `source` may have been meant for an earlier incarnation of the task (D49). Tasks of the same
+    /// node restarted together with this task, so their messages are new (D157).
     pub fn turns_away(&self, table: &NodeTable, source: &Peer) -> bool {
         self.now < self.quarantine_until && table.rules().quarantine && source.ingress.is_some()
     }
@@ -161,12 +161,12 @@ impl Own {
         if let Role::Asks(request) = self.role(port)? { Some(request) } else { None }
     }
 
-    /// The position of the task's rendezvous on a port; `None` if it is no waitfor.
+    /// The position of the task's rendezvous on a port; `None` if the port is no waitfor.
     pub fn meeting(&self, port: PortId) -> Option<u16> {
         if let Role::Meets(meeting) = self.role(port)? { Some(meeting) } else { None }
     }
 
-    /// The inbox of a port, or the fault of a request that needs one.
+    /// The inbox of a port; or the fault that answers a request on a port without an inbox.
     #[inline]
     pub fn receiving(&self, port: PortId) -> Result<u16, Fault> {
         let Some(role) = self.role(port) else { return Err(Fault::NotYourPort) };
@@ -193,7 +193,8 @@ impl Own {
         if endpoint.staged.put(index, contents) {
             return Ok(Signal::Accepted(0));
         }
-        // Either all fragments of a message are sent or none, because the rest must not end up in the next message (D28).
+        // Either all fragments of a message are sent or none. A fragment that stays here would end up in the next message
+        // (D28).
         endpoint.staged.clear();
         Err(Fault::WrongLength)
     }
@@ -204,12 +205,12 @@ impl Own {
         }
     }
 
-    /// How often a port may be bypassed before it goes first (D58).
+    /// How often a port may be bypassed before it is served first (D58).
     pub fn bypass_limit(&self) -> u16 {
         index(self.endpoints.len() + self.order.ranked().len()).max(4)
     }
 
-    /// Validates deserialised shared state: its endpoints must match those of a new one.
+    /// Validates deserialised shared state: its endpoints must match those of a new state.
     pub fn is_like(&self, new: &Self) -> bool {
         are_alike(&self.endpoints, &new.endpoints, |read, new| {
             (read.port, read.role) == (new.port, new.role) && read.staged.has_room_of(&new.staged)
@@ -217,14 +218,14 @@ impl Own {
     }
 }
 
-/// The couple whose heartbeats `port` carries, with its position in the cell; `None` if the port carries none.
+/// The couple whose heartbeats `port` carries, with its position in the cell; `None` if the port carries no heartbeats.
 pub(crate) fn couple_of(table: &NodeTable, port: PortId, task: TaskId) -> Option<(u8, &CoupleDecl)> {
     let couples = table.cell().couples.iter().enumerate();
     let mine = |c: &CoupleDecl| c.via == port && (c.primary == task || c.standby == task);
     couples.filter(|(_, c)| mine(c)).find_map(|(i, c)| Some((u8::try_from(i).ok()?, c)))
 }
 
-/// Whether a deserialised list matches a new one: the same length, and each element like its counterpart.
+/// Whether a deserialised list matches a new list: both have the same length, and each element is like its counterpart.
 pub(crate) fn are_alike<T>(read: &[T], new: &[T], is_like: impl Fn(&T, &T) -> bool) -> bool {
     read.len() == new.len() && read.iter().zip(new).all(|(read, new)| is_like(read, new))
 }

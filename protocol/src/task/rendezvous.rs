@@ -14,8 +14,8 @@
 //! | [`leave`](Rendezvous::leave) | the patience ended, or the wait was cancelled: sends ABORT, except under one variant |
 //! | [`forget`](Rendezvous::forget) | a member's node restarted: voids its arrival |
 //!
-//! [`At::released`] reports a release. Between two inputs the task waits here exactly if `deadline` is set. It has heard of no
-//! round fresher than `fresh`, and holds no arrival in a round that the member gave up.
+//! [`At::released`] reports a release. Between two inputs the task waits in this rendezvous exactly if `deadline` is set.
+//! It has heard of no round fresher than `fresh`, and holds no arrival in a round that the member gave up.
 
 mod check;
 mod fused;
@@ -57,13 +57,13 @@ struct Member {
     arrived: Option<Arrived>,
     /// The freshest round that the member gave up: copies of its arrival in that round or an older one do not count (D54).
     barred: Option<Round>,
-    /// The incarnation of the member's node that was last heard.
+    /// The incarnation of the member's node from which this task last heard.
     incarnation: Option<Incarnation>,
     /// Whether the member restarted since this task's last release. Its new incarnation was then not part of that meeting.
     reborn: bool,
     /// Whether the member is known to have been released from this task's round. Only monitors see this.
     confirmed: bool,
-    /// The member's arguments in the round that this task left last. Later packets do not change these arguments.
+    /// The member's arguments in the last round that this task left. Later packets do not change these arguments.
     told: Option<[u8; 8]>,
 }
 
@@ -179,7 +179,7 @@ impl Rendezvous {
         missing
     }
 
-    /// Retransmits the packets that are due. The caller checks the deadline.
+    /// Retransmits the packets that are due. The caller handles the deadline of the wait.
     fn advance(&mut self, at: &mut At<'_, '_, impl Outbox>) {
         if self.copy_at <= at.now() {
             self.copies_left = self.copies_left.saturating_sub(1);
@@ -197,8 +197,8 @@ impl Rendezvous {
         }
     }
 
-    /// Forgets the arrival of a member whose node restarted. Its new incarnation was not part of the meeting that was
-    /// released last.
+    /// Forgets the arrival of a member whose node restarted. The member's new incarnation was not part of the last released
+    /// meeting.
     fn forget(&mut self, member: usize) {
         let incarnation = self.members[member].incarnation;
         self.members[member] = Member { incarnation, reborn: true, ..Member::default() };
@@ -243,7 +243,7 @@ impl Rendezvous {
     /// The least remaining patience of the other members, if all of them have arrived.
     fn least_patience(&self, at: &At<'_, '_, impl Outbox>) -> Option<Ticks> {
         let mut least = Ticks::FAR;
-        // This goes backwards: if members arrive in the order of the list, the last ones are missing longest.
+        // The loop goes backwards: if members arrive in the order of the list, the last ones are missing longest.
         for (member, party) in self.members.iter().zip(&at.port.parties).rev() {
             if party.task != at.step.own.task {
                 let arrived = member.arrived.filter(|_| self.is_here(member, at.now()))?;
@@ -302,14 +302,14 @@ impl Rendezvous {
         }
     }
 
-    /// A member's arrival in this task's round. With numbered rounds it counts even if the member's patience has ended since
-    /// then.
+    /// A member's arrival in this task's round. If meetings are numbered, the arrival counts even after the member's
+    /// patience has ended.
     fn came(&self, member: &Member, now: Instant) -> Option<Arrived> {
         let is_over = |arrived: &Arrived| !self.numbered && arrived.expires <= now;
         member.arrived.filter(|arrived| arrived.round == self.announced && !is_over(arrived))
     }
 
-    /// Keeps the arguments of the members in the round that this task now leaves.
+    /// Keeps the arguments of the members in the round that this task leaves.
     fn keep_told(&mut self, now: Instant) {
         for i in 0..self.members.len() {
             self.members[i].told = self.came(&self.members[i], now).map(|arrived| arrived.arguments);

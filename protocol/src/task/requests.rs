@@ -1,4 +1,5 @@
-//! The user layer, downwards: it carries out the requests of the task (§5.2.1). `machines` takes the inputs from below.
+//! The user layer, downwards: it carries out the requests of the task (§5.2.1). `machines` takes the inputs from the node:
+//! packets and the passing of time.
 
 use super::client::Sent;
 use super::machines::Machines;
@@ -12,7 +13,7 @@ use crate::packet::Contents;
 use crate::request::{Fault, ReplyTo, Request, Signal, Target};
 use crate::ticks::{Instant, Ticks};
 
-/// The signal that answers a request; `None` if it was already given, or comes later.
+/// The signal that answers a request; `None` if the task has already got this signal, or gets it later.
 type Answer = Result<Option<Signal>, Fault>;
 
 const ACCEPTED: Option<Signal> = Some(Signal::Accepted(0));
@@ -25,7 +26,7 @@ impl Machines {
             Request::Abandon => Ok(Some(self.abandon(step))),
             Request::Reply { to, contents } => self.reply(step, to, contents),
             Request::Done => self.interrupts.done().map(|()| ACCEPTED),
-            // The requests above are allowed while another request is outstanding; those below are not (R93).
+            // The requests above this line are allowed while another request is outstanding; those below are not (R93).
             _ if !self.interrupts.waits_for_nothing() => Err(Fault::Busy),
             Request::Order(order) => {
                 let old = core::mem::replace(&mut step.own.order, order);
@@ -104,7 +105,7 @@ impl Machines {
         }
     }
 
-    /// Takes the most urgent message among the heads of the ports, or waits for one (procedure `get`, §5.2.1).
+    /// Takes the most urgent of the first messages of the ports, or waits for a message (procedure `get`, §5.2.1).
     #[inline]
     pub(super) fn get(
         &mut self,

@@ -11,12 +11,14 @@
 //! | [`advance`](Server::advance) | what has expired is dropped |
 //! | [`reroute`](Server::reroute) | waiting commands reserve the way back of another table |
 //!
-//! A packet passes these checks in turn. It has no more fragments than the port allows, and time is left to answer it. No copy
-//! of a command to an earlier incarnation of the task can still arrive (D49). It is from the present incarnation of its source,
-//! and new (`memory`). All fragments of its message are here (`assembly`), and no newer epoch has begun (`epochs`).
+//! A packet of a message passes these checks in turn. The packet has no more fragments than the port allows, and time is
+//! left to answer it. No copy of a command to an earlier incarnation of the task can still arrive (D49). The packet is from
+//! the present incarnation of its source, and its message is new (`memory`). All fragments of the message are here
+//! (`assembly`), and no newer epoch has begun (`epochs`).
 //!
-//! Between two inputs nothing expired waits, the ready set (`ready`) agrees with a scan of all inboxes, and every waiting command
-//! has a dedup entry that says so. Rule variants that keep no memory or extend TTLs break only the last of these.
+//! Between two inputs no expired message waits, the ready set (`ready`) agrees with a scan of all inboxes, and every
+//! waiting command has a dedup entry with this status. Rule variants that keep no memory or extend TTLs break only the last
+//! of these.
 
 mod admission;
 mod assembly;
@@ -55,7 +57,7 @@ use serde::{Deserialize, Serialize};
 pub(crate) use delivery::send_answer;
 pub(crate) use inbox::Held;
 
-/// The waiting messages, and the dedup entries of the received ones.
+/// The waiting messages of a task, and the dedup entries of the messages that it received.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Server {
     inboxes: Box<[Inbox]>,
@@ -64,7 +66,7 @@ pub(crate) struct Server {
     served: u64,
     /// Numbers messages in the order in which they are stored: the last key of the order of service (D14).
     arrivals: u64,
-    /// The number of the next round of rejections (D58).
+    /// The number of the next group of rejections: messages that are rejected together have the same number (D58).
     rejections: u64,
     /// The last known incarnation of each task that may send to this one, ascending by task.
     incarnations: Box<[Known]>,
@@ -77,7 +79,7 @@ pub(crate) struct Server {
     turned: Vec<Slot>,
 }
 
-/// A source, with the incarnation of its node that was last heard.
+/// A source, with the incarnation of its node from which this task heard last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 struct Known {
     task: TaskId,
@@ -88,16 +90,16 @@ struct Known {
 pub(crate) struct Arrival {
     pub origin: Origin,
     pub held: Held,
-    /// Whether a handler for the message interrupts the running activation; otherwise that activation waits for the message
-    /// in a GET.
+    /// Whether a handler for the message interrupts the running activation; otherwise the running activation waits for the
+    /// message in a GET.
     pub interrupts: bool,
 }
 
 /// An inbox, and the position of a source in it.
 pub(crate) type Origin = (usize, usize);
 
-/// Limit of counters in a deserialised state. They grow by one per input, so no recording makes a counter below this limit
-/// overflow.
+/// Limit of counters in a deserialised state. Counters grow by one per input, so no recording makes a counter below this
+/// limit overflow.
 const MOST: u64 = 1 << 62;
 
 impl Server {
@@ -200,7 +202,8 @@ impl Server {
         }
     }
 
-    /// Whether the message is new, and from the present incarnation of its source. Copies are answered here.
+    /// Whether the message is new, and from the present incarnation of its source. If it is a copy, this function answers
+    /// it.
     fn is_fresh(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -209,7 +212,7 @@ impl Server {
     ) -> bool {
         let endpoint = ends.own.place;
         if packet.class == Class::Command && step.own.turns_away(step.table, ends.peer) {
-            // The message may be a copy of a command that the earlier incarnation ran (D49).
+            // The message may be a copy of a command that the task's earlier incarnation ran (D49).
             control(step, packet, Control::Restarted);
             return false;
         }
@@ -221,7 +224,7 @@ impl Server {
             Seen::New => return true,
             Seen::Again(CommandStatus::Held) => self.prolong((inbox, source), packet, reserved, step.now()),
             Seen::Older | Seen::Again(CommandStatus::Lapsed | CommandStatus::Delivered(_)) => {}
-            // Only the last fragment of a copy is answered.
+            // Of the fragments of a copy, only the last one is answered.
             Seen::Again(_) if packet.more => {}
             Seen::Again(CommandStatus::Refused) => control(step, packet, Control::Refused),
             Seen::Again(CommandStatus::Answered(contents)) => {
@@ -236,8 +239,8 @@ impl Server {
         false
     }
 
-    /// Takes in a complete, new message. If the task waits for it, it is delivered at once; if there is a handler, it is
-    /// offered; otherwise it is stored (R24, R25).
+    /// Takes in a complete, new message. If the task waits for the message, the message is delivered at once; if it has a
+    /// handler, it is offered; otherwise it is stored (R24, R25).
     fn take_in(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -252,8 +255,8 @@ impl Server {
             Some(couple) => self.within_epoch(step, (ends, origin), couple, packet)?,
         };
         let now = step.now();
-        // A link charges an upper bound, so a later copy may have been charged less than this one. The dedup entry is
-        // therefore kept for the declared TTL, not for the remaining time of this copy (D20).
+        // A link charges an upper bound, so a later copy may have been charged less than this copy. Therefore the dedup
+        // entry is kept for the declared TTL, not for the remaining time of this copy (D20).
         let until = now + from.time_out.max(packet.remaining) + way_back;
         match packet.class {
             Class::Status => {
@@ -301,7 +304,7 @@ impl Server {
         None
     }
 
-    /// Drops expired messages and fragments: the simple removal at the local station (§5.1.1).
+    /// Drops expired messages and fragments: the simple removal at the receiver's node (§5.1.1).
     pub fn advance(&mut self, step: &mut Step<'_, impl Outbox>) {
         while let Some(inbox) = self.expired(step.now()) {
             while let Some(held) =
@@ -323,8 +326,8 @@ impl Server {
         }
     }
 
-    /// Extends the deadlines of waiting messages by the time that passed: for the variant in which waiting does not reduce
-    /// the remaining time.
+    /// Extends the deadlines of waiting messages by the time that passed. This serves the variant in which waiting does not
+    /// reduce the remaining time.
     pub fn give_back(&mut self, own: &Own, elapsed: Ticks) {
         for inbox in &mut self.inboxes {
             inbox.queue.change_all(|held, _| held.expires += elapsed);
@@ -345,7 +348,7 @@ impl Server {
         self.touch(own, inbox);
     }
 
-    /// Validates a deserialised server: its inboxes, sources and capacities must be those of a new one.
+    /// Validates a deserialised server: its inboxes, sources and capacities must be those of a new server.
     pub fn is_like(&self, new: &Self) -> bool {
         let counts = [self.arrivals, self.rejections, self.served].into_iter().all(|count| count < MOST);
         are_alike(&self.inboxes, &new.inboxes, Inbox::is_like)

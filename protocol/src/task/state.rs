@@ -4,9 +4,10 @@ use super::{CommTask, Machines, Pending};
 use crate::table::NodeTable;
 
 impl CommTask {
-    /// Validates a deserialised state, because a keyframe of a recording may come from anybody. The lists of the state must
-    /// have the lengths, ports and tasks of a new machine of the same task, and every position in the state must exist. Then
-    /// no input makes the machine panic. [`invariants::check`](crate::invariants::check) checks everything else.
+    /// Validates a deserialised state, because a keyframe of a recording may come from an untrusted file. The lists of the
+    /// state must have the lengths, ports and tasks of a new machine of the same task, and every position in the state must
+    /// exist. Then no input makes the machine panic. [`invariants::check`](crate::invariants::check) checks everything
+    /// else.
     #[must_use]
     pub fn is_whole(&self, table: &NodeTable) -> bool {
         if table.location(self.own.task).is_none() {
@@ -58,7 +59,8 @@ mod tests {
         assert_eq!(check(&task, &table), Err(Violation::WrongDeadline));
     }
 
-    /// Up to the next deadline, time that passes by itself leaves what the same time as an input leaves. From there on nothing passes.
+    /// Compares the passing of time alone with the same time as an input, up to the next deadline. Beyond that deadline
+    /// [`let_idle_time_pass`](CommTask::let_idle_time_pass) must refuse.
     #[test]
     fn idle_time_passes_up_to_the_next_deadline() {
         let table = Fixture::new(A).table;
@@ -81,7 +83,7 @@ mod tests {
         assert_eq!((task.now(), waits.now()), (Instant(4), Instant(0)), "nothing has changed");
     }
 
-    /// A keyframe may come from anybody, so the validation must find a wait for an object that does not exist.
+    /// A keyframe may come from an untrusted file, so the validation must find a wait for an object that does not exist.
     #[test]
     fn a_wait_for_what_is_not_there_is_not_whole() {
         let table = Fixture::new(A).table;
@@ -93,7 +95,7 @@ mod tests {
         let get = |port| Pending::Get { port, source: None, deadline: Instant::NEVER };
         assert!(waiting(get(None)) && waiting(Pending::Reply(0)) && waiting(Pending::Meeting(0)));
         assert!(waiting(Pending::Lease) && waiting(Pending::Work));
-        // A sends commands on one of these ports, and meets B on the other, so it receives on neither.
+        // A sends commands on the port `MOVE`, and meets B at `LIFT`. So A receives on neither.
         assert!(!waiting(get(Some(MOVE))) && !waiting(get(Some(LIFT))));
         assert!(!waiting(Pending::Reply(1)) && !waiting(Pending::Meeting(1)));
     }

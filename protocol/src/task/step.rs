@@ -17,7 +17,7 @@ pub trait Outbox {
     fn transmit(&mut self, packet: Packet);
     /// Gives the task a signal.
     fn signal(&mut self, signal: Signal);
-    /// Arms an entry of the node's Timer. When the entry ends, the Timer returns `turn` with it.
+    /// Arms an entry of the node's Timer. When the entry ends, the Timer reports it with this `turn`.
     fn arm(&mut self, id: TimeId, turn: u8, length: Ticks);
     /// Disarms an entry of the node's Timer.
     fn disarm(&mut self, id: TimeId);
@@ -27,7 +27,7 @@ pub trait Outbox {
     }
 }
 
-/// The step context: the table, the shared state, and the outbox.
+/// The step context: the cell's table, the task's shared state, and the outbox.
 pub(crate) struct Step<'a, O> {
     pub table: &'a NodeTable,
     pub own: &'a mut Own,
@@ -44,22 +44,22 @@ impl<O: Outbox> Step<'_, O> {
         self.out.observe(Observation::of(event, port, peer, id, remaining));
     }
 
-    /// Changes the counters of the endpoint at a position.
+    /// Changes the counters of the endpoint at this position.
     pub fn count(&mut self, endpoint: u16, count: impl FnOnce(&mut Counts)) {
         if let Some(endpoint) = self.own.endpoints.get_mut(usize::from(endpoint)) {
             count(&mut endpoint.counters);
         }
     }
 
-    /// Takes the id for the task's next message.
+    /// Takes the id for the task's next message, and advances the sequence.
     pub fn next_id(&mut self) -> MessageId {
         let id = self.own.coming_id();
         self.own.next_sequence = id.sequence.next();
         id
     }
 
-    /// The time that a message carries: its remaining time (§5.1), or under the variant with absolute times an instant on
-    /// this node's clock.
+    /// The time that a packet carries: the message's remaining time (§5.1), or, under the variant with absolute times, an
+    /// instant on this node's clock.
     pub fn stamp(&self, ttl: Ticks) -> Ticks {
         match self.table.rules().time_stamp {
             TimeStamp::Remaining => ttl,

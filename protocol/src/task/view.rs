@@ -34,7 +34,7 @@ impl CommTask {
     }
 
     /// The round that the task announced last at this waitfor in its present incarnation. While the task waits there, it
-    /// waits in this round. The value means nothing for a task that was never there.
+    /// waits in this round. For a task that never reached this waitfor, the value means nothing.
     #[must_use]
     pub fn announced(&self, port: PortId) -> Option<Round> {
         Some(self.machines.meetings.at(self.own.meeting(port)?).announced())

@@ -14,22 +14,23 @@ pub enum Violation {
     HoldsExpired(PortId, TaskId, MessageId),
     /// A buffer holds a message of a class or from a task that the port does not admit.
     HoldsForeign(PortId, TaskId, MessageId),
-    /// A buffer holds a command, but no dedup entry says that it waits: a copy of the command would run twice (D52).
+    /// A buffer holds a command, but no dedup entry says that this command waits: a copy of the command would run twice
+    /// (D52).
     NotRemembered(PortId, TaskId, MessageId),
     /// A dedup entry is forgotten while the sender still waits, or the execution budget ends after the entry (D6, D18).
     MemoryTooShort(TaskId, MessageId),
-    /// The task waits past its deadline.
+    /// The task still waits after its deadline.
     Overdue(Instant),
-    /// The task waits for an answer although no request is open, or a request is open although the task does not wait for an
-    /// answer; or a request has a foreign id.
+    /// The task waits for an answer although no request is open, or a request is open although the task does not wait for
+    /// an answer; or a request has the id of another task's message.
     WaitsForNothing(PortId),
     /// The task waits at a `waitfor` that has no deadline, or a `waitfor` has a deadline although the task does not wait
     /// there.
     MeetingAndWaitDiffer(PortId),
     /// A retransmission is due at an instant that the deadline does not imply, or without a reason (D5, D55).
     ResendInstant(PortId),
-    /// A `waitfor` has released its task from a round that it never announced, or has forgotten the freshest round of which
-    /// it heard (D54).
+    /// A `waitfor` has released its task from a round that the task never announced, or has forgotten the freshest round of
+    /// which it heard (D54).
     Rounds(PortId),
     /// A `waitfor` holds the arrival of a member in a round that this member gave up (D54).
     HoldsBarred(PortId, TaskId, Round),
@@ -50,9 +51,9 @@ pub enum Violation {
     TimerNotOffered(TimeId),
     /// An incomplete message has expired, or is held on a port whose messages take one packet (D28).
     HoldsFragments(PortId, TaskId),
-    /// The task acts past its lease, or has not taken over when it should have (D61).
+    /// The task acts past its lease, or has not taken over in time (D61).
     PastLease(Instant),
-    /// The lease has a pending call that is not true any more.
+    /// The lease has a pending call that no longer describes the present state.
     WrongCall,
     /// A heap disagrees with a scan of the entries that it orders.
     OutOfOrder(PortId),

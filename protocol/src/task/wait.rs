@@ -14,21 +14,21 @@ pub(crate) enum Pending {
         source: Option<TaskId>,
         deadline: Instant,
     },
-    /// It waits for the answers to the outstanding request at this position, which has the deadline.
+    /// The activation waits for the answers to the outstanding request at this position. The request has the deadline.
     Reply(u16),
-    /// It waits at the rendezvous at this position, which has the deadline.
+    /// The activation waits at the rendezvous at this position. The rendezvous has the deadline.
     Meeting(u16),
-    /// It waits in a delay: the name, and the number of its start.
+    /// The activation waits in a delay with this name; the number is that of the delay's start.
     Delay(TimeId, u8),
-    /// It waits for the end of an external action.
+    /// The activation waits for the end of an action.
     Work,
-    /// It waits for the lease (D61).
+    /// The activation waits for the lease (D61).
     Lease,
-    /// It waits for nothing: a handler runs between two of its statements.
+    /// The activation waits for nothing: a handler interrupted it between two statements.
     Boundary,
 }
 
-/// How a wait ended. This is signalled at once, or when the handlers above the waiting activation have ended.
+/// How a wait ended. The task gets the signal at once, or when the handlers above the waiting activation have ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) enum Finished {
     Outcome(Outcome),
@@ -50,10 +50,11 @@ pub(crate) enum Finished {
     Granted(u8),
 }
 
-/// The report of a part to the dispatcher that a wait ended.
+/// What a part reports to the dispatcher when a wait has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Ended {
-    /// The wait that ended. `None` under the variant that accepts late replies: the running activation is then told.
+    /// The wait that ended. `None` under the variant that accepts late replies: then the running activation gets the
+    /// signal.
     pub wait: Option<Pending>,
     pub finished: Finished,
 }

@@ -1,4 +1,5 @@
-//! The state of a communication task for a checker: this visits its fields (D165), shifts its clock, and drops dead state.
+//! The state of a communication task for a checker: functions that visit its fields (D165), shift its clock, and drop dead
+//! state.
 
 use super::lease::Lease;
 use super::step::Outbox;
@@ -25,15 +26,16 @@ pub struct Coming {
 impl CommTask {
     /// Visits all fields of the state. Call [`bury`](Self::bury) before the state is encoded.
     ///
-    /// A pass that changes the state must keep the order of instants. A pass that decodes must read bytes of the same task.
+    /// A pass that changes the state must keep the order of instants. A pass that decodes must get bytes that the same task
+    /// wrote.
     pub fn walk<W: Walk>(&mut self, table: &NodeTable, w: &mut W) {
         let Self { own, machines, due } = self;
         let Machines { client, server, interrupts, meetings, lease } = machines;
         if matches!(W::PASS, Pass::Decode | Pass::Change) {
             *due = None;
         }
-        // This is the order of the packed bytes (D51). A checker sorts equal members by their bytes, so another order of
-        // fields would pick other representatives and change the numbers of states.
+        // The fields are visited in the order of the packed bytes (D51). A checker sorts equal members by their bytes, so
+        // another order of fields would pick other representatives and change the numbers of states.
         own.walk(w);
         interrupts.walk(&mut own.order, lease.as_ref().map(Lease::couple), w);
         client.walk_overdue(table, (own.task, own.incarnation), w);
@@ -49,30 +51,30 @@ impl CommTask {
         server.walk_guards(w);
     }
 
-    /// Whether both are in the same state, with their counters, orders and numbers of arrival: more than the packed bytes of a
-    /// state have. When they next expire follows from it, whether it is kept or not.
+    /// Whether both tasks are in the same state, including counters, orders and arrival numbers, which packed bytes leave
+    /// out. The next deadlines must be equal, too, but not whether they are cached.
     #[must_use]
     pub fn is_same(&self, other: &Self) -> bool {
         let Self { own, machines, due: _ } = self;
         (own, machines) == (&other.own, &other.machines) && self.next_deadline() == other.next_deadline()
     }
 
-    /// Does everything that time alone makes due, without comparing the next deadline first. If that deadline has not come,
-    /// this does nothing.
+    /// Does everything that time alone makes due. This function does not look at the next deadline first, and does nothing
+    /// if that deadline has not come.
     pub fn look_around(&mut self, table: &NodeTable, out: &mut impl Outbox) {
         self.act(table, out);
     }
 
-    /// Sets the clock back to zero, which changes no behaviour. Dead state is dropped first, so that no instant is before
-    /// the new zero.
+    /// Sets the task's clock back to zero, which changes no behaviour. Dead state is dropped first, so that no instant is
+    /// before the new zero.
     pub fn rebase(&mut self, table: &NodeTable) {
         self.bury();
         let now = self.own.now;
         self.walk(table, &mut restart(now));
     }
 
-    /// Moves the clock and every instant forward by `ahead`. This changes no behaviour, however far, because no instant ever
-    /// leaves the task (D37).
+    /// Moves the clock and every instant forward by `ahead`. This changes no behaviour, however great `ahead` is, because
+    /// no instant ever leaves the task (D37).
     pub fn set_ahead(&mut self, table: &NodeTable, ahead: Ticks) {
         self.walk(table, &mut Clock(|instant| instant + ahead));
     }
@@ -90,8 +92,8 @@ impl CommTask {
         }
     }
 
-    /// Drops dedup entries whose messages can have no further copies. `coming` has all messages that may still arrive, which
-    /// only a checker knows. This changes no behaviour.
+    /// Drops dedup entries of messages of which no copy can arrive any more. `coming` has all messages that may still
+    /// arrive, which only a checker knows. This changes no behaviour.
     pub fn bury_seen(&mut self, coming: &[Coming]) {
         let own = self.own.task;
         self.machines.server.bury_seen(|port, task| {

@@ -1,5 +1,5 @@
-//! The operations on times. A number is compared and added as it is. With the feature `checker`, a time may also be a
-//! symbol; `symbolic` then computes the result.
+//! The operations on times. A time that is a plain number is compared and added as it is. With the feature `checker`, a
+//! time may also be a symbol; `symbolic` then computes the result.
 
 #[cfg(feature = "checker")]
 use super::symbolic;

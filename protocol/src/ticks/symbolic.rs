@@ -1,9 +1,9 @@
 //! Times without values: a checker runs the machine once for all values that lead to the same behaviour.
 //!
-//! A symbol is the difference of two variables and an offset, within the 64 bits of an [`Instant`] or of [`Ticks`]. To compare
-//! symbols, the machine asks the [`Zone`] of its thread, which holds what is known of the variables. Where both answers are
-//! possible, the zone gives one of them and remembers the other: the checker then runs the step again. So the same compiled code
-//! runs on numbers and on symbols (D179).
+//! A symbol is the difference of two variables and an offset, within the 64 bits of an [`Instant`] or of [`Ticks`]. To
+//! compare symbols, the machine asks the [`Zone`] of its thread, which holds what is known of the variables. If a
+//! comparison may have either result, the zone gives one of them and remembers the other: the checker then runs the step
+//! again. So the same compiled code runs on numbers and on symbols (D179).
 //!
 //! ```
 //! use imrs_protocol::symbolic::{self, Symbol, Zone};
@@ -38,7 +38,7 @@ use std::thread_local;
 /// The variable that stands for the start of all clocks: it is zero.
 pub const START: u8 = 0;
 
-/// A symbolic time: `first - second + offset`, or zero if that is negative, as [`Instant`] and [`Ticks`] saturate. The
+/// A symbolic time: `first - second + offset`, or zero if this sum is negative, as [`Instant`] and [`Ticks`] saturate. The
 /// checker numbers the variables.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Symbol {
@@ -46,21 +46,22 @@ pub struct Symbol {
     pub first: u8,
     /// The variable that is subtracted.
     pub second: u8,
-    /// The number of ticks that is added to their difference.
+    /// The number of ticks that is added to the difference of the variables.
     pub offset: i64,
 }
 
 /// A time in a packed state, which a zone packs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Time {
-    /// The time until an instant, zero if that is past. `forgets`: since when it is past makes no difference.
+    /// The time until an instant, or zero if the instant is past. `forgets`: behaviour does not depend on how long it has
+    /// been past.
     Left {
-        /// See above.
+        /// Whether behaviour does not depend on how long the instant has been past.
         forgets: bool,
     },
     /// The time since a packet was sent over its link.
     Age,
-    /// What remains of a packet: since the age that was packed right before it, or now.
+    /// The remaining time of a packet, counted from the [`Age`](Self::Age) that was packed right before it, or from now.
     Remaining,
 }
 
@@ -70,13 +71,12 @@ pub trait Zone {
     /// it from then on.
     fn is_negative(&mut self, symbol: Symbol) -> bool;
 
-    /// The sum of two symbols without their offsets, for a time in which more than two variables meet. If two variables
-    /// have a fixed distance, they are replaced by that distance. Otherwise the zone makes a new variable, which may
-    /// stand for more values than the sum has: the checker then explores more than can happen.
+    /// The sum of two symbols without their offsets, for a time that has more than two variables. If two variables have a
+    /// fixed distance, they are replaced by that distance. Otherwise the zone makes a new variable, which may stand for
+    /// more values than the sum has: the checker then explores more than can happen.
     fn sum(&mut self, one: Symbol, other: Symbol) -> Symbol;
 
-    /// Packs a time as one byte, and stores in the zone what the byte does not say; `None` stands for
-    /// "never".
+    /// Packs a time as one byte, and stores in the zone what this byte does not say; `None` stands for "never".
     ///
     /// # Panics
     /// If the zone packs no states.
@@ -84,7 +84,7 @@ pub trait Zone {
         unreachable!("a zone that packs no states: {time:?} of {symbol:?}")
     }
 
-    /// The time that a byte stands for.
+    /// The time for which a packed byte stands.
     ///
     /// # Panics
     /// If the zone packs no states.
@@ -128,9 +128,9 @@ pub fn symbol(number: u64) -> Option<Symbol> {
     is_symbol(number).then(|| Symbol::of(number))
 }
 
-/// Symbols have the two highest bits `10`, plain numbers have no high bit, and "never" has all bits.
+/// Symbols have the two highest bits `10`, plain numbers have no high bit, and "never" has all bits set.
 const SYMBOL: u64 = 0b10 << 62;
-/// All symbols, as signed numbers, are below this.
+/// All symbols, read as signed numbers, are less than this.
 const END: i64 = i64::MIN + (1 << 62);
 const OFFSET_BITS: u32 = 46;
 const NEVER: u64 = u64::MAX;
@@ -145,7 +145,7 @@ pub(super) fn is_any(a: u64, b: u64) -> bool {
     (is_symbol(a) || is_symbol(b)) && has_zone()
 }
 
-/// Whether this thread has a zone. Without one all numbers are plain, whatever a damaged recording says.
+/// Whether this thread has a zone. Without a zone all numbers are plain, whatever a damaged recording says.
 pub(crate) fn has_zone() -> bool {
     ZONE.with_borrow(Option::is_some)
 }
@@ -161,7 +161,7 @@ impl Symbol {
             return Self::plain(number);
         }
         let [first, second] = [54, 46].map(|at| (number >> at).to_le_bytes()[0]);
-        // The sign of the offset is its highest bit.
+        // The sign of the offset is the highest bit of its field.
         let offset = (number << (64 - OFFSET_BITS)).cast_signed() >> (64 - OFFSET_BITS);
         Self { first, second, offset }
     }
@@ -185,7 +185,7 @@ impl Symbol {
         Self { first: self.second, second: self.first, offset: -self.offset }
     }
 
-    /// The sum, without saturation.
+    /// The sum of two symbols, without saturation.
     fn plus(self, other: Self) -> Self {
         let offset = self.offset + other.offset;
         match (self, other) {
@@ -204,7 +204,7 @@ impl Symbol {
         if self.first == self.second { self.offset < 0 } else { ask(|zone| zone.is_negative(self)) }
     }
 
-    /// The symbol, or zero if it is negative.
+    /// The symbol, or zero if the symbol is negative.
     fn saturated(self) -> Self {
         if self.is_negative() { Self::plain(0) } else { self }
     }
@@ -241,7 +241,7 @@ pub(super) fn is_less(a: u64, b: u64) -> bool {
         return a != b && b == NEVER;
     }
     let (a, b) = (Symbol::of(a), Symbol::of(b));
-    // If both times saturate at zero, the greater one is positive, and exceeds the other one before that one saturates.
+    // After saturation at zero `a` is less than `b` exactly if `b` is positive and, before saturation, exceeds `a`.
     b.negated().is_negative() && a.plus(b.negated()).is_negative()
 }
 
@@ -272,7 +272,7 @@ pub(super) fn difference(a: u64, b: u64) -> u64 {
     }
 }
 
-/// How often `b` fits into `a`. It compares multiples of `b` with `a`, so that the quotient is a plain number.
+/// How often `b` fits into `a`. The function compares multiples of `b` with `a`, so that the quotient is a plain number.
 #[cold]
 pub(super) fn quotient(a: u64, b: u64) -> u64 {
     (1..).find(|times| is_less(a, times * b)).map_or(0, |times| times - 1)

@@ -11,7 +11,8 @@ pub(super) struct Entry {
     pub id: TimeId,
     pub turn: u8,
     pub expires: Instant,
-    /// Counts the arming calls. It breaks ties: of entries that end together, the one that was armed first goes first.
+    /// Counts the arming calls. The count breaks ties: of entries that end together, the entry that was armed first goes
+    /// first.
     pub armed: u64,
 }
 
@@ -37,10 +38,11 @@ pub(super) fn name(owner: TaskId, id: TimeId) -> u32 {
 
 /// The capacity of the unsorted set.
 pub(super) const FRESH: usize = 4;
-/// The name of an entry in an empty place.
+/// The name of the entry in an empty place.
 pub(super) const NOBODY: u32 = u32::MAX;
 
-/// The entries that were armed last, unsorted. Most are disarmed soon, and so never need a place in the queue (D123).
+/// The entries that were armed last, unsorted. Most of them are disarmed soon, and so never need a place in the queue
+/// (D123).
 #[derive(Clone, Debug)]
 pub(super) struct Fresh {
     pub names: [u32; FRESH],

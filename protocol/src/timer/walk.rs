@@ -6,7 +6,7 @@ use crate::state::{Pass, Walk, restart};
 use alloc::vec::Vec;
 
 impl Timer {
-    /// Sets the clock back to zero, and all instants with it. This changes no behaviour.
+    /// Sets the Timer's clock back to zero, and shifts all its instants with it. This changes no behaviour.
     pub fn rebase(&mut self) {
         let now = self.now;
         self.walk(&mut restart(now));
@@ -17,12 +17,12 @@ impl Timer {
         w.clock(&mut self.now);
         let Self {
             now: _,
-            // `armed` is not packed: entries are packed in the order in which they end, and equal ones in the
-            // order of arming.
+            // `armed` is not packed: entries are packed in the order in which they end, and entries that end together in
+            // the order of arming.
             armed,
             fresh,
             queue,
-            // The index is rebuilt when the entries are armed again.
+            // The index is rebuilt when decoding arms the entries again.
             index,
         } = self;
         if W::PASS == Pass::Change {
@@ -52,8 +52,8 @@ impl Entry {
         let Self {
             owner,
             id,
-            // `turn` is not packed: a single thread drives a packed node, so no message of an earlier start is in
-            // flight.
+            // `turn` is not packed: a single thread drives a packed node, so no report of an earlier start of the timer is
+            // in flight.
             turn: _,
             expires,
             armed: _,

@@ -6,27 +6,27 @@ use crate::state::{Pass, Walk, restart};
 use crate::table::NodeTable;
 use alloc::vec::Vec;
 
-/// A flag in the first packed byte: refusals wait.
+/// A flag in the first packed byte: whether refusals wait.
 const WITH_WORDS: u8 = 0x80;
 
 impl Transit {
-    /// Sets the internal clock back to zero. This changes no behaviour.
+    /// Sets the buffer's clock back to zero. This changes no behaviour.
     pub fn rebase(&mut self, table: &NodeTable) {
         let now = self.now;
         self.walk(table, &mut restart(now));
     }
 
-    /// Walks the waiting packets, most urgent first. The packed form is packets with their remaining times; a pass that
-    /// reads computes the other fields from their routes.
+    /// Walks the waiting packets, most urgent first. The packed form consists of the packets with their remaining times. A
+    /// pass that reads computes the other fields from the packets' routes.
     pub fn walk<W: Walk>(&mut self, table: &NodeTable, w: &mut W) {
         w.clock(&mut self.now);
         let Self {
             now,
-            // Only the order of arrival matters, and the order of packing keeps it.
+            // This counter is not packed: only the order of arrival matters, and the order of packing keeps it.
             arrivals,
             queue,
             words,
-            // `forwarded` only counts, and changes no behaviour.
+            // This field is a counter for monitors, and behaviour does not depend on it.
             forwarded: _,
             discarded: _,
         } = self;
@@ -75,7 +75,7 @@ impl Waiting {
             packet,
             expires,
             leave_by,
-            // These two fields are not relative: an arrival number, and the next hop.
+            // The pass need not shift these two fields: an arrival number, and the next hop.
             arrival: _,
             next: _,
         } = self;

@@ -25,7 +25,7 @@ pub struct Ports {
     pub halt: PortId,
 }
 
-/// The record `Beat`: `height`, `moving`.
+/// The fields of the record `Beat`: `height`, `moving`.
 pub const HEARTBEAT: [(&str, Type); 2] = [("b.height", Type::Int16), ("b.moving", Type::Bool)];
 pub const HEIGHT: u16 = 0;
 pub const MOVING: u16 = 1;
@@ -45,7 +45,7 @@ pub fn right(ports: Ports) -> Program {
         b.waitfor(lift).when(Outcomes::TIME_OUT, |b| {
             b.run("open_grip", Ticks(0), Ticks(0)).abort("partner missing");
         });
-        // Because of `when me.moving`, the silence counts from the instant at which that becomes true.
+        // Because of `when me.moving`, the silence counts from the instant at which `me.moving` becomes true.
         b.run("start_lift", Ticks(1), Ticks(2)).set(moving, 1).start(silence, Ticks(10));
         b.while_true(moving, |b| {
             b.run("read_height", Ticks(0), Ticks(0)).op(Op::Value).store(height);
@@ -70,7 +70,7 @@ pub fn right(ports: Ports) -> Program {
 const PORTS: Ports = Ports { lift: LIFT, heartbeat: ASK, halt: TELL };
 const SILENCE: Signal = Signal::Interrupt(Call::Timer(TimeId(0)));
 
-/// A rig of the arm in mid lift, while it waits in its delay of 20 ms.
+/// A rig of the arm's script in mid lift, while the script waits in its delay of 20 ms.
 fn lifting() -> Rig {
     let mut rig = Rig::of(right(PORTS));
     let mut said = rig.begin();
@@ -144,6 +144,7 @@ fn a_state_in_mid_lift_takes_a_few_bytes() {
     let mut rig = lifting();
     assert_eq!(same_when_packed(&rig.program, &rig.script).len(), 6);
     rig.tell(call(ASK, 1, &[7, 0, 1]));
-    // The handler added its own number, its position and its wait (3), the message to answer (4), and its record (3).
+    // The packed handler added its own number, its position and its wait (3 bytes), the message to answer (4), and its
+    // record (3).
     assert_eq!(same_when_packed(&rig.program, &rig.script).len(), 6 + 3 + 4 + 3);
 }

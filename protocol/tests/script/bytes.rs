@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::{RngAlgorithm, TestRng, TestRunner};
 
-/// The value that a strategy draws with this seed.
+/// The value that a proptest strategy draws with this seed.
 fn drawn<T>(strategy: impl Strategy<Value = T>, seed: [u8; 4]) -> T {
     let seed = std::array::from_fn::<u8, 16, _>(|i| seed[i % 4].wrapping_add(u8::try_from(i).unwrap_or(0)));
     let rng = TestRng::from_seed(RngAlgorithm::XorShift, &seed);

@@ -10,7 +10,7 @@ fn fault(write: impl FnOnce(&mut ProgramBuilder)) -> ProgramError {
     b.finish().expect_err("a fault")
 }
 
-/// The result of the check of a program that has only this code.
+/// The result of `Program::check` for a program that has only this code.
 fn raw(code: &[Op]) -> Result<usize, ProgramError> {
     Program { code: code.into(), ..Program::default() }.check()
 }

@@ -83,7 +83,7 @@ fn the_end_of_a_couples_script_ends_its_heartbeats_and_a_fence_its_action() {
     let log = virtual_cell.log();
     assert_eq!(log[0], "5 p: weld", "granted at the second beat");
     assert_eq!(log[1], "40 s: ended Finished");
-    // No heartbeat came after that, so the lease ended, and with it the action.
+    // No heartbeat came after the grant, so the lease ended, and with it the action.
     let fenced: Vec<&String> = log[2..].iter().collect();
     assert!(fenced[0].ends_with("p: cut short") && fenced[1].ends_with("p: ended Fenced"), "{log:?}");
 }

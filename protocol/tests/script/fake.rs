@@ -1,4 +1,4 @@
-//! A script by itself: the test takes the part of its communication task.
+//! Runs a script without a node: the test takes the part of its communication task.
 
 use imrs_protocol::script::*;
 use imrs_protocol::*;
@@ -15,7 +15,7 @@ pub struct Said {
     pub words: Vec<String>,
     pub requests: Vec<Request>,
     pub statements: Vec<Address>,
-    /// The choice that the driver makes at once, if any.
+    /// The alternative that the driver chooses at once, if any.
     pub choice: Option<u16>,
     pub fragments: BTreeMap<u8, Contents>,
     pub answers: BTreeMap<(Option<TaskId>, u8), Contents>,
@@ -96,8 +96,8 @@ pub fn words(request: &Request) -> String {
     }
 }
 
-/// A script and its program. Every step is taken with shortcuts and without them, and checks that the packed form gives the same
-/// state back.
+/// A script and its program. Every step is taken with shortcuts and without them. The rig checks that the packed form gives
+/// the same state back.
 pub struct Rig {
     pub program: Program,
     pub code: Code,
@@ -106,7 +106,7 @@ pub struct Rig {
 }
 
 impl Rig {
-    /// A rig with the script that `write` builds. The script ends where `write` ends.
+    /// A rig with the script that `write` builds. The program ends after the operations that `write` adds.
     pub fn new(write: impl FnOnce(&mut ProgramBuilder)) -> Self {
         let mut builder = ProgramBuilder::new("test");
         write(&mut builder);
@@ -124,7 +124,7 @@ impl Rig {
         std::mem::take(&mut self.said.words)
     }
 
-    /// Takes an input with the program's shortcuts and without them, and compares what that does (D188).
+    /// Takes an input with the program's shortcuts and without them, and compares the results (D188).
     pub fn compared(&mut self, input: &ScriptInput) -> Result<(), String> {
         let (mut script, mut said) = (self.script.clone(), self.said.clone());
         let [mut with, mut without] = [Requests::default(), Requests::default()];
@@ -170,7 +170,7 @@ impl Rig {
         self.step(ScriptInput::Acted { level, ok, value })
     }
 
-    /// The value of a variable.
+    /// The value of a variable of the script.
     pub fn var(&self, slot: Slot) -> i64 {
         let Slot::Task(at) = slot else { panic!("{slot:?} is no variable of the task") };
         self.script.var(at).expect("a variable")
@@ -189,7 +189,7 @@ pub fn same_when_packed(program: &Program, script: &Script) -> Vec<u8> {
     bytes
 }
 
-/// A message whose id is `age` numbers before the sender's next one.
+/// A message whose id is `age` numbers before the sender's next id.
 pub fn message(port: PortId, class: Class, age: u32, bytes: &[u8]) -> Delivery {
     let sequence = Frame::SEQUENCE.plus(Seq24::MODULUS - age);
     let id = MessageId { incarnation: Incarnation(3), sequence };

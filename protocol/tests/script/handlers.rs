@@ -7,7 +7,8 @@ use imrs_protocol::*;
 const SECOND: PortId = PortId(4);
 const HELD: TimeId = TimeId(0);
 
-/// A script with handlers for `ASK` (keeps the message, and answers with it after a delay), for a timer and for `SECOND`.
+/// A script with handlers for `ASK`, for a timer and for `SECOND`. The handler for `ASK` keeps the message, and answers
+/// with its contents after a delay.
 fn with_handlers(fusing: Fusing, body: impl FnOnce(&mut ProgramBuilder)) -> Rig {
     let mut b = ProgramBuilder::new("test");
     let heard = b.variable("heard", Type::Int8);
@@ -134,7 +135,7 @@ fn the_end_of_an_action_and_a_call_may_cross() {
     rig.tell(Signal::TimeOut(TimeId(2)));
     assert_eq!(rig.accept(), ["reply P0 T7 [4]"]);
     assert_eq!(rig.accept(), ["return", "done"]);
-    // The next handler is called at once, before the activation below runs.
+    // The second handler is called at once, before the activation below the first one runs.
     assert_eq!(rig.tell(Signal::Interrupt(Call::Timer(HELD))), [""; 0]);
     assert_eq!(rig.tell(Signal::Fault(Fault::Busy)), ["return", "done"]);
     assert_eq!(rig.accept(), ["boundary"]);

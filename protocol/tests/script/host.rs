@@ -33,7 +33,7 @@ pub fn bytes(bytes: &[u8]) -> Contents {
     Contents::new(bytes).expect("short")
 }
 
-/// The beam lift. A is armL and C the hoist, for both of which the test makes the requests; B is armR with its script.
+/// The beam lift. A is armL and C is the hoist: the test makes their requests. B is armR, which has a script.
 pub fn beam_lift() -> VirtualCell {
     let mut cell = triangle();
     let lift = cell.port(PortDecl::new("lift", A, Usage::Waitfor, &[B, C], Ticks(2000)).resend(Ticks(50), 1));
@@ -138,7 +138,7 @@ fn dresser() -> ProgramBuilder {
     b
 }
 
-/// The script of a robot. It asks for the tool until it gets it, works for `work`, frees the tool if `honest`, and ends.
+/// A robot's script: asks until an answer grants the tool, works for `work`, frees the tool if `honest`, and ends.
 fn robot(work: u64, honest: bool) -> ProgramBuilder {
     let mut b = ProgramBuilder::new("robot");
     let (spot, ok, asks) =
@@ -267,7 +267,7 @@ fn a_third_task_answers() {
     assert!(virtual_cell.activities().iter().all(|activity| *activity == Activity::Ended(End::Finished)));
 }
 
-/// B takes the questions of A and C, and answers them in the other order (D93).
+/// B takes the questions of A and C, and answers the later question first (D93).
 #[test]
 fn an_answer_may_come_later() {
     let mut cell = triangle();
@@ -368,7 +368,7 @@ fn a_handler_waits_for_the_end_of_an_atomic_section() {
 }
 
 /// The action ends while the first handler runs. When that handler returns, the second one begins before the communication
-/// task hears of the end of the action.
+/// task gets the report that the action has ended.
 #[test]
 fn a_handler_that_comes_at_once_after_another_crosses_the_end_of_the_action() {
     let mut cell = triangle();
@@ -512,7 +512,7 @@ fn random_pair(genes: [&[u8]; 2], together: bool) -> VirtualCell {
 
 fn ended_well(activity: Activity) -> bool {
     match activity {
-        // A handler may ask on a port on which an interrupted activation waits. A script may also send statuses without end.
+        // Expected faults: a handler asks on a port where an interrupted activation waits; a script never waits.
         Activity::Ended(End::Fault { fault, .. }) => {
             fault == ScriptFault::Request(Fault::Busy) || fault == ScriptFault::Runaway
         }
@@ -526,7 +526,7 @@ fn ended_well(activity: Activity) -> bool {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Tests that scripts and communication tasks agree: no answer is unexpected, whatever interrupts whatever.
+    /// Tests that scripts and communication tasks agree: no answer is unexpected, whatever interrupts the scripts.
     #[test]
     fn random_tasks_get_along_with_their_communication_tasks(
         a in proptest::collection::vec(any::<u8>(), 0..200),
@@ -539,7 +539,7 @@ proptest! {
     }
 }
 
-/// Tests that the random runs get far, because otherwise they would prove little.
+/// Tests that the random runs reach many states, because otherwise they would prove little.
 #[test]
 fn random_tasks_come_far() {
     let mut runner = proptest::test_runner::TestRunner::deterministic();

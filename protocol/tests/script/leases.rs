@@ -96,7 +96,7 @@ fn who_can_take_over_waits_for_that_when_fenced() {
 }
 
 /// The script of a task of a work couple. Its handler for ASK records the message and starts a timer. Its handlers for TELL
-/// and for the timer would act.
+/// and for the timer begin actions.
 fn attentive(takeover: bool) -> Rig {
     let mut b = ProgramBuilder::new("test");
     let (said, outcome) = (b.variable("said", Type::Int8), b.variable("outcome", Type::Int8));
@@ -123,7 +123,7 @@ fn attentive(takeover: bool) -> Rig {
     Rig::of(b.finish().expect("a checked program"))
 }
 
-/// A rig of a task of a mutual couple that has been fenced.
+/// A rig of the script of a task that has been fenced, in a mutual couple.
 fn passive() -> Rig {
     let mut rig = attentive(true);
     let mut said = rig.begin();
@@ -210,8 +210,8 @@ fn a_fence_without_a_handler_leaves_who_can_take_over() {
 const A: TaskId = TaskId(0);
 const B: TaskId = TaskId(1);
 
-/// Two robots of a mutual couple: each welds for ever while it acts. After a take-over a robot reads what the other one
-/// published.
+/// Two robots of a mutual couple: each robot welds for ever while it may act. After a take-over a robot reads what the
+/// other one published.
 fn robots() -> VirtualCell {
     let mut cell = Cell::new("couple", Ticks(1));
     let nodes = ["na", "nb"].map(|name| cell.node(name));

@@ -138,7 +138,7 @@ fn a_field_out_of_range_is_never_sent() {
     assert_eq!(rig.begin(), ["abandon", "ended Fault { fault: Overflow, at: 1 }"]);
 }
 
-/// Seven words: 28 bytes, three packets.
+/// Adds seven variables of type word: 28 bytes, three packets.
 fn long(b: &mut ProgramBuilder) -> Vec<(Type, Slot)> {
     (0..7).map(|i| (Type::Word, b.variable(&format!("w{i}"), Type::Word))).collect()
 }

@@ -25,7 +25,7 @@ fn more_truths_than_a_byte_holds_are_kept_apart() {
     }
     b.set(number, -300).delay(Ticks(9)).end();
     let mut rig = Rig::of(b.finish().expect("a checked program"));
-    // Every step packs the script, reads it back and compares.
+    // Every step of the rig packs the script, reads it back and compares.
     let said = rig.begin();
     until(&mut rig, said, "delay");
     let read: Vec<i64> = truths.iter().map(|&truth| rig.var(truth)).collect();
@@ -79,7 +79,7 @@ fn a_state_that_does_not_fit_is_refused_and_not_cut() {
         let frame = Frame { rounds: &[], sequences: &sequences, incarnations: true };
         Encode::bytes(&frame, |w| rig.script.walk(&rig.program, w))
     };
-    // The command's number is one less than the frame's own.
+    // The command's number is one less than the frame's sequence number.
     let home = Frame::SEQUENCE.get();
     assert!(packed(home).is_ok());
     assert!(packed(home + 254).is_ok());
@@ -130,7 +130,7 @@ fn every_way_to_end_keeps_its_form_when_packed() {
     let end = End::Fault { fault: ScriptFault::Runaway, at: 0 };
     assert_eq!(script.activity(), Activity::Ended(end));
     same_when_packed(&fault.program, &script);
-    // An ended script does not end again.
+    // A script that has ended does not end again.
     script.stop(&fault.program, ScriptFault::Overflow, &mut Requests::default(), &mut said);
     assert_eq!(script.activity(), Activity::Ended(end));
 }
@@ -170,7 +170,7 @@ fn a_branch_takes_the_outcomes_that_its_words_say() {
     assert_eq!(taken(Outcomes::of(&[])), []);
 }
 
-/// A driver that keeps only how the script ended.
+/// A driver that records only how the script ended.
 #[derive(Default)]
 struct Bare {
     ended: Option<End>,
@@ -237,7 +237,7 @@ fn reals_are_reckoned_as_reals() {
     assert_eq!(reals(Binary::Divide, f32::MAX, 0.5), Err(ScriptFault::NotFinite));
 }
 
-/// The first packet of a long message holds some of its fields completely.
+/// The first packet of a long message holds only some of its fields completely.
 #[test]
 fn values_are_read_as_far_as_they_stand_whole() {
     let format = Format { fields: vec![Type::Int16, Type::Bool, Type::Real, Type::Word, Type::Int32] };

@@ -8,7 +8,8 @@ use imrs_protocol::*;
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-/// An answer to the wait of the script, if it waits, so that runs get far. `pick` chooses among the answers.
+/// An answer to the wait of the script, if the script waits. With such answers runs reach many states. `pick` chooses among
+/// the possible answers.
 pub fn answer(rig: &Rig, pick: u8) -> Option<ScriptInput> {
     let signal = match rig.script.activity() {
         Activity::Acts => {
@@ -55,7 +56,7 @@ pub fn answer(rig: &Rig, pick: u8) -> Option<ScriptInput> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 3000, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Malformed programs and senseless inputs are included. [`Rig::step`] packs and unpacks every state.
+    /// The programs may be malformed and the inputs senseless. [`Rig::step`] packs and unpacks every state.
     #[test]
     fn no_program_and_no_input_panics(program in programs(), inputs in vec((any::<u8>(), inputs()), 1..60)) {
         let _ = program.check();
@@ -92,7 +93,7 @@ proptest! {
         }
     }
 
-    /// A shift of the ids of a source changes no bytes, and any bytes are loaded without a panic (D51).
+    /// A shift of all ids of a source changes no packed bytes, and any bytes are loaded without a panic (D51).
     #[test]
     fn packed_states_are_relative_and_total(
         program in programs(),
@@ -125,8 +126,8 @@ proptest! {
     }
 }
 
-/// Accepts boundaries until the next other request. Returns all other effects in words. A script that never waits is
-/// stopped, as a node stops it.
+/// Accepts boundaries until the script makes another request. Returns all other effects in words. Stops a script that never
+/// waits, as a node does.
 fn past_boundaries(rig: &mut Rig, mut said: Vec<String>) -> Vec<String> {
     let mut all = Vec::new();
     for _ in 0..STEP_LIMIT {
@@ -149,7 +150,7 @@ fn ran_away(rig: &Rig) -> bool {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 500, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// If no handler is called at a boundary, the number of boundaries does not matter (D45).
+    /// If no boundary calls a handler, the number of boundaries does not matter (D45).
     #[test]
     fn fused_statements_reach_the_same_states(program in well_formed(), inputs in vec((any::<u8>(), inputs()), 1..60)) {
         let rig = |fusing| Rig::of(Program { fusing, ..program.clone() });
@@ -171,7 +172,7 @@ proptest! {
     }
 }
 
-/// Tests that the random runs get far, because otherwise they would prove little.
+/// Tests that the random runs reach many states, because otherwise they would prove little.
 #[test]
 fn random_programs_reach_what_they_are_for() {
     use proptest::strategy::ValueTree;

@@ -1,4 +1,4 @@
-//! Scripts that never wait, beside others on one node.
+//! Scripts that never wait, beside other scripts on one node.
 
 use imrs_protocol::script::*;
 use imrs_protocol::*;
@@ -23,7 +23,7 @@ fn together() -> Cell {
     cell
 }
 
-/// A task that only waits.
+/// The program of a task that only waits.
 fn waiting() -> Program {
     let mut b = ProgramBuilder::new("waits");
     b.forever(|b| {
@@ -70,8 +70,8 @@ fn who_answers_one_that_never_waits_is_not_the_one_that_is_stopped() {
     b.forever(|b| {
         b.receive(ask, None, &[]).statement().reply(&[]);
     });
-    // Because two tasks only wait, the scripts of the node may take so many steps together that the asker's own limit comes
-    // first.
+    // Because two tasks only wait, the scripts of the node may take so many steps together that the asking script reaches
+    // its own limit first.
     let scripts = [(A, finish(a)), (B, finish(b)), (C, waiting()), (D, waiting())];
     let mut virtual_cell = VirtualCell::new(cell).begin(scripts);
     virtual_cell.run(3);

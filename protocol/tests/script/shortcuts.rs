@@ -1,5 +1,6 @@
-//! The shortcuts of compiled programs against the operations that they stand for (D188). Every step of every script in these
-//! tests is compared ([`Rig::compared`]); here, faults in compiled code must be found by random programs.
+//! Compares the shortcuts of compiled programs with the operations that they replace (D188). Every step of every script in
+//! these tests is compared ([`Rig::compared`]). The tests here plant faults into compiled code, which random programs must
+//! find.
 
 use super::fake::*;
 use super::random::answer;
@@ -13,7 +14,7 @@ use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 use std::collections::BTreeMap;
 
-/// A fault in compiled code.
+/// Plants a fault into compiled code.
 type Planted = fn(&mut Code);
 
 /// Changes every shortcut.
@@ -132,7 +133,7 @@ const FAULTS: [(&str, Planted); 18] = [
     }),
 ];
 
-/// An expression to generate: its kind, two variables, an operator and a number.
+/// The parts of a random expression: its kind, two variables, an operator and a number.
 type Expression = (u8, usize, usize, Binary, i64);
 
 /// Programs of random expressions, in the task's own thread and in a handler.
@@ -205,7 +206,8 @@ fn expression(
     }
 }
 
-/// Runs at most as many random programs with the code that `plant` changes, until a step differs. Returns how many that took.
+/// Runs at most as many random programs with the code that `plant` changes, until a step differs. Returns how many programs
+/// that took.
 fn programs_until_found(plant: Planted, most: u32) -> Option<u32> {
     let mut runner = TestRunner::deterministic();
     for number in 1..=most {

@@ -1,4 +1,4 @@
-//! Every statement that makes a request, and every way it can end.
+//! Every statement that makes a request, and every outcome that it can have.
 
 use super::fake::*;
 use imrs_protocol::script::StatementOutcome as Ended;

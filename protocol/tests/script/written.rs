@@ -144,7 +144,7 @@ pub struct Ends {
 const ALONE: Ends =
     Ends { asks: [ASK, ASK], tells: TELL, hears: TELL, handled: [ASK, PortId(3)], real: false };
 
-/// Writes statements that random bytes choose. The program is always well formed.
+/// Writes a program whose statements random bytes choose. The program is always well formed.
 struct Writer<'a> {
     genes: std::slice::Iter<'a, u8>,
     variables: Vec<(Type, Slot)>,

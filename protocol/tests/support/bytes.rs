@@ -25,12 +25,12 @@ impl Bytes<'_> {
     }
 }
 
-/// How many operations one input makes at most.
+/// The most operations that one fuzz input makes.
 const OPERATIONS: usize = 300;
 
-/// Drives the communication tasks of a cell, both read from `data`. Checks after every operation that the invariants hold
-/// and the next expiry is exact. Also checks that a second world behaves the same, although its clocks go back to zero now
-/// and then and its states are packed and read back.
+/// Drives the communication tasks of a random cell. Cell and operations are read from `data`. Checks after every operation
+/// that the invariants hold and the next expiry is exact. Also checks that a second world behaves the same, although its
+/// clocks go back to zero now and then and its states are packed and read back.
 pub fn inputs(data: &[u8]) {
     let mut bytes = Bytes(data);
     let [flags, mask] = bytes.take();
@@ -70,7 +70,7 @@ pub fn inputs(data: &[u8]) {
     }
 }
 
-/// Checks that nothing happens one tick before the next expiry, and that something happens at it.
+/// Checks that nothing happens one tick before the next expiry, and that something happens at the expiry.
 fn next_expiry_is_exact(world: &World, task: usize) {
     let mut ahead = world.clone();
     ahead.looks_around = true;
@@ -96,7 +96,7 @@ pub fn packets(data: &[u8]) {
         let flipped = usize::from(bytes.byte());
         let mut raw: [u8; PACKET_BYTES] = bytes.take();
         let _ = Packet::decode(&raw, DIGEST, port_hash);
-        // These are the same bytes with a valid checksum.
+        // The same bytes, but with a valid checksum.
         let hash = port_hash(PortId(u16::from_le_bytes([raw[6], raw[7]]))).unwrap_or(0);
         let crc = checksum(&raw, DIGEST, hash);
         raw[28..].copy_from_slice(&crc.to_le_bytes());
@@ -121,8 +121,8 @@ fn gains_no_remaining_time(packet: &Packet, remaining: u64, hash: u32) {
     let decoded = Packet::decode(&sent.encode(DIGEST, hash), DIGEST, port_hash).expect("a packet");
     assert!(decoded.remaining <= sent.remaining, "{} became {}", sent.remaining, decoded.remaining);
     assert_eq!(decoded, Packet { remaining: decoded.remaining, ..sent });
-    // The decoded time is less by at most one part in 2^23, or by one step of the wire. A time beyond the scale becomes its
-    // end.
+    // The decoded time is less by at most one part in 2^23, or by one wire step. A time beyond the greatest encodable time
+    // becomes that greatest time.
     let end = Ticks((((1 << 24) - 1) << 15) * WIRE_STEP_US);
     let kept = sent.remaining.min(end);
     assert!(

@@ -12,12 +12,13 @@ pub use imrs_testkit::words::{packet, signal};
 use shift::Shift;
 use std::sync::Arc;
 
-/// Everything that one input caused, in order.
+/// Everything that one input of a task caused, in order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Effects {
     pub packets: Vec<Packet>,
     pub signals: Vec<Signal>,
-    /// Requests to the node's Timer: armed with a length, or disarmed.
+    /// What the task asked of the node's Timer: for each entry, the length for which it was armed, or `None` if it was
+    /// disarmed.
     pub timers: Vec<(TimeId, Option<Ticks>)>,
     /// The turn with which each timer was armed: the number of that start.
     pub turns: Vec<(TimeId, u8)>,
@@ -44,12 +45,12 @@ impl Outbox for Effects {
 }
 
 impl Effects {
-    /// The packets, then the signals, in words.
+    /// The packets, then the signals, each in words.
     pub fn words(&self) -> Vec<String> {
         self.packets.iter().map(packet).chain(self.signals.iter().map(signal)).collect()
     }
 
-    /// The reasons of all drops.
+    /// The reasons of all messages that were dropped.
     pub fn discards(&self) -> Vec<Reason> {
         let reason = |o: &Observation| if let Event::Discarded(r) = o.event { Some(r) } else { None };
         self.observations.iter().filter_map(reason).collect()
@@ -73,7 +74,7 @@ impl Effects {
     }
 }
 
-/// One communication task alone.
+/// One communication task, without a node.
 #[derive(Clone)]
 pub struct Solo {
     pub table: NodeTable,
@@ -85,7 +86,7 @@ impl Solo {
         Self::incarnation(table, task, 0, false)
     }
 
-    /// The task in a given incarnation of its node.
+    /// The task in this incarnation of its node.
     pub fn incarnation(table: &Arc<CellTable>, task: TaskId, incarnation: u8, restarted: bool) -> Self {
         let node = table.location(task).expect("a task of the cell");
         let table = NodeTable::new(Arc::clone(table), node);
@@ -175,7 +176,7 @@ fn until(deadline: Instant, now: Instant) -> Option<Ticks> {
 }
 
 /// Checks that a state that was packed and read back packs to the same bytes. Returns the state that was read, with its
-/// original ids, or `None` if it does not fit its packed form.
+/// original ids, or `None` if the state does not fit its packed form.
 fn packs_and_unpacks(task: &CommTask, table: &NodeTable) -> Option<CommTask> {
     struct Ids(Vec<Option<Round>>, Vec<Option<Seq24>>);
     impl Walk for Ids {

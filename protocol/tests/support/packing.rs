@@ -1,4 +1,4 @@
-//! Packs states and reads them back. For comparisons it also removes the parts that packing does not keep.
+//! Packs states and reads them back. For comparisons a function also removes the parts that packing does not keep.
 
 use super::Effects;
 use super::shift::Shift;
@@ -25,7 +25,7 @@ pub fn repack(world: &mut World, task: usize) {
         ..Shift::default()
     };
     loaded.walk(&table, &mut &shift);
-    // A packed state does not record which start of a timer is running.
+    // A packed state does not record the number of a timer's start, so the numbers begin at zero again.
     world.turns[task].iter_mut().for_each(|turn| turn.1 = 0);
 }
 

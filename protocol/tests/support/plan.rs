@@ -40,7 +40,7 @@ impl Plan {
         Self { tasks, nodes, delay: u64::from(within(delay, 3)), ports, rules, couple }
     }
 
-    /// The same cell with at least two tasks, of which the first two are work-coupled.
+    /// The same plan, but with at least two tasks, of which the first two are work-coupled.
     pub fn coupled(self) -> Self {
         Self { tasks: self.tasks.max(2), couple: self.couple | 3, ..self }
     }

@@ -1,4 +1,4 @@
-//! A shift of all numbers that are only compared with each other. It must not change the behaviour of a world.
+//! A shift of all numbers that are only compared with each other. A shift must not change the behaviour of a world.
 
 use super::Effects;
 use imrs_protocol::*;
@@ -18,7 +18,7 @@ pub struct Shift {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EpochAt {
     Nowhere,
-    /// Packets of the port are heartbeats of a couple and their answers, which carry it.
+    /// Packets of the port are heartbeats of a couple and their answers, which carry an epoch.
     Heartbeats,
     /// Packets of the port are orders; their last byte is the epoch.
     Orders,
@@ -77,7 +77,7 @@ impl Shift {
         Self { sequences, rounds, epochs: self.epochs.wrapping_neg(), places: self.places.clone() }
     }
 
-    /// Shifts only the epochs back: packed states hold epochs as they are.
+    /// The shift that moves only the epochs back: packed states hold epochs as they are.
     pub fn epochs_back(&self) -> Self {
         let (sequences, rounds) = (vec![0; self.sequences.len()], vec![0; self.rounds.len()]);
         Self { sequences, rounds, ..self.back() }
@@ -102,7 +102,7 @@ impl Shift {
                 moved.contents = meeting.to_contents();
             }
             Kind::Send | Kind::Query => moved.id = self.id(p.source, p.id),
-            // An answer carries the id of its request.
+            // An answer carries the id of the request that it answers.
             Kind::Reply | Kind::Response | Kind::Control => moved.id = self.id(p.destination, p.id),
         }
         if let Some(at) = self.places.get(p.port.index()).and_then(|place| place.within(p)) {
@@ -113,7 +113,7 @@ impl Shift {
         moved
     }
 
-    /// The effects with all ids shifted. Observations are left out, because their numbers may be of any kind.
+    /// The effects with all ids shifted. Observations are left out, because their numbers may mean anything.
     pub fn effects(&self, effects: &Effects) -> Effects {
         let packets = effects.packets.iter().map(|p| self.packet(p)).collect();
         let signals = effects.signals.iter().map(|s| match *s {

@@ -7,7 +7,7 @@ use imrs_protocol::*;
 use proptest::prelude::*;
 use std::sync::Arc;
 
-/// One random operation. Its meaning depends only on the world's present state.
+/// One random operation. Its meaning depends only on the state of the world that takes it.
 pub type Op = (u8, u8, u16, u16);
 
 pub fn ops() -> impl Strategy<Value = Vec<Op>> {
@@ -31,13 +31,13 @@ pub struct World {
     incarnations: Vec<u8>,
     /// For each task, the latest start of each of its delays and timers.
     pub turns: Vec<Vec<(TimeId, u8)>>,
-    /// By how much this world's ids differ from those of the plain world.
+    /// By how much the ids of this world differ from those of the plain world.
     pub shift: Shift,
     /// Whether nodes restart and packets of other incarnations appear.
     pub restarts: bool,
     /// How many ticks pass before each input that is not time itself.
     pub lag: u64,
-    /// Whether these ticks come as an input of their own.
+    /// Whether these ticks pass by an input of their own.
     pub splits: bool,
     /// Whether every deadline is checked after time has passed, due or not.
     pub looks_around: bool,
@@ -74,7 +74,7 @@ impl World {
         self.tasks.iter_mut().zip(&self.tables).for_each(|(task, table)| task.rebase(table));
     }
 
-    /// Shifts all ids of this world.
+    /// This world with all its ids shifted.
     pub fn moved(mut self, shift: Shift) -> Self {
         for (task, table) in self.tasks.iter_mut().zip(&self.tables) {
             task.walk(table, &mut &shift);
@@ -87,7 +87,7 @@ impl World {
         self
     }
 
-    /// Carries out one operation and returns its effects; its packets are then in flight.
+    /// Carries out one operation and returns its effects; the packets among them are then in flight.
     pub fn step(&mut self, op: Op) -> Effects {
         let (what, which, a, b) = op;
         let task = usize::from(which) % self.tasks.len();
@@ -216,7 +216,7 @@ impl World {
         }
     }
 
-    /// An answer to any request in flight.
+    /// A request for a third-party reply to any request in flight.
     fn third_party(&self, port: &Port, a: u16, b: u16) -> Request {
         let asked =
             self.flying.iter().filter(|p| matches!(p.kind, Kind::Send | Kind::Query)).nth(usize::from(a) % 4);
@@ -307,7 +307,7 @@ impl World {
         self.input(task, Input::TimeOut { id, turn })
     }
 
-    /// Starts the next incarnation of a node, whose tasks know nothing of the previous one.
+    /// Starts the next incarnation of a node, whose tasks know nothing of the previous incarnation.
     fn restart(&mut self, node: usize) -> Effects {
         self.incarnations[node] += 1;
         for (t, table) in self.tables.iter().enumerate().filter(|(_, table)| table.node.index() == node) {
@@ -338,7 +338,7 @@ impl World {
     }
 }
 
-/// A request that does not fit the cell, or one that fits any cell.
+/// A request that does not fit the cell, or a request that fits any cell.
 fn odd_request(a: u16, b: u16) -> Request {
     let port = PortId(a % 5);
     let id = TimeId(u8::try_from(a % 3).expect("small"));

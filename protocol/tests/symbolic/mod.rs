@@ -1,4 +1,5 @@
-//! Tests of symbolic times: a run on symbols does what the runs do on all numbers that lead to the same behaviour.
+//! Tests of symbolic times: a run on symbols has the same effects as the runs on all numbers that lead to the same
+//! behaviour.
 //!
 //! Each random run is made twice, on numbers and on symbols. The run on symbols makes the same decisions as the numbers, and
 //! the zone records each question and its answer. A run on any other numbers for which all answers are the same must then
@@ -32,7 +33,7 @@ fn on_symbols<R>(times: &[i64], run: impl FnOnce() -> R) -> (R, Example) {
 /// A function from the number of a step's variable to its instant: a symbol, or the time itself.
 type Clock<'a> = &'a dyn Fn(u8) -> Instant;
 
-/// The clock that shows these times at the steps.
+/// The clock that shows these numbers at the steps of a run.
 fn showing(times: &[i64]) -> impl Fn(u8) -> Instant {
     |step| Instant(times[usize::from(step) - 1].unsigned_abs())
 }
@@ -65,9 +66,9 @@ fn moved<'a>(times: &'a [i64], by: &'a [(usize, i64)]) -> impl Iterator<Item = V
 #[derive(Debug, Default)]
 struct Example {
     values: Vec<i64>,
-    /// The symbols that it was asked about, and whether each had to be negative.
+    /// The symbols about which the run asked, and whether each was negative.
     asked: Vec<(Symbol, bool)>,
-    /// How many variables had to be made for times in which more than two variables met.
+    /// How many variables the zone had to make, for times that have more than two variables.
     named: usize,
 }
 
@@ -82,7 +83,7 @@ impl Example {
         of(symbol.first) - of(symbol.second) + symbol.offset
     }
 
-    /// Whether both variables have the same value.
+    /// Whether both variables of the symbol have the same value.
     fn is_zero(&mut self, symbol: Symbol) -> bool {
         let symbol = Symbol { offset: 0, ..symbol };
         let is_zero = self.value(symbol) == 0;
@@ -182,18 +183,18 @@ trait State: Clone {
     fn bytes(self, evaluate: &mut Evaluate<'_>) -> Vec<Result<Vec<u8>, Overflow>>;
 }
 
-/// The effects of each step of a run, and its end.
+/// The effects of each step of a run, and the states at the end of the run.
 struct Run<S> {
     effects: Vec<Effects>,
     end: S,
 }
 
-/// The parts by which two runs are compared.
+/// The parts of a run that are compared with another run.
 type Outcome = (Vec<Effects>, Vec<Result<Vec<u8>, Overflow>>);
 
 impl<S: State> Run<S> {
-    /// The outcome of the run with its symbols replaced by the times of an example. The outcome of a run on
-    /// numbers stays the same.
+    /// The outcome of the run, with its symbols replaced by the times of an example. The outcome of a run on numbers stays
+    /// the same.
     fn at(&self, example: &Example) -> Outcome {
         let mut evaluate = Evaluate(example);
         let effects = self.effects.iter().map(|effects| evaluate.effects(effects)).collect();
@@ -201,8 +202,9 @@ impl<S: State> Run<S> {
     }
 }
 
-/// Compares a run on symbols, which follow `first`, with the runs at those times and at each of the other times that give
-/// the same answers. Returns how many of those there were. With `exact` no time may be made of three instants.
+/// Compares a run on symbols, decided by the times `first`, with the runs on these times and on each of the other times
+/// that give the same answers. Returns how many such other times there were. With `exact`, no time may depend on three
+/// instants.
 fn runs_alike<S: State>(
     (first, others): (&[i64], &[(usize, i64)]),
     exact: bool,
@@ -226,8 +228,8 @@ fn runs_alike<S: State>(
     Ok(alike)
 }
 
-/// Compares random runs of random cells, whose steps are at most as far apart as `gaps` says, and demands that more other
-/// times than runs gave the same answers.
+/// Compares random runs of random cells, whose steps are at most as far apart as `gaps` says, and demands that the same
+/// answers came for more other times than there are runs.
 fn random_runs_are_alike<S: State>(
     (cases, gaps): (u32, Range<u8>),
     start: impl Fn(World) -> S,
@@ -243,8 +245,8 @@ fn random_runs_are_alike<S: State>(
     let alike = cell::Cell::new(0);
     let result = TestRunner::new(config).run(&runs, |(plan, ops, gaps, others)| {
         let world = World::new(&plan.build(), false);
-        // Under this variant of the rules time in a buffer is not charged, so a deadline is moved by the difference of
-        // two instants, and a time may be made of three instants.
+        // Under this variant of the rules time in a buffer is not charged, so a deadline is moved by the difference of two
+        // instants, and a time may depend on three instants.
         let exact = world.tables[0].rules().charge_residence;
         let (start, ops) = (start(world), &ops[..ops.len().min(MOST)]);
         let times = times(&gaps, ops.len());

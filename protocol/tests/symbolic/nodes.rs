@@ -5,7 +5,7 @@ use crate::support::Effects;
 use crate::support::world::{Op, World};
 use imrs_protocol::*;
 
-/// A packet on a link: where it comes from and goes to, and when it was sent.
+/// A packet on a link: where it comes from, where it goes, and when it was sent.
 #[derive(Clone)]
 struct Flight {
     from: NodeId,
@@ -20,7 +20,7 @@ struct Nodes {
     nodes: Vec<Node>,
     flying: Vec<Flight>,
     got: Vec<(TaskId, ReplyTo)>,
-    /// Makes the requests, which fit the cell.
+    /// The world that makes the requests, which fit the cell.
     world: World,
 }
 

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 use std::cmp::Ordering;
 
-/// Several results, computed from three durations between variables, each moved by an offset, and from a plain duration.
+/// Several results, computed from a plain duration and three durations between variables, each moved by an offset.
 fn computed(between: impl Fn(u8, u8) -> Ticks, parts: &[(u8, u8, i64)], plain: Ticks) -> [Ticks; 11] {
     let [a, b, c] = [0, 1, 2].map(|at| {
         let (first, second, offset) = parts[at];
@@ -17,7 +17,7 @@ fn computed(between: impl Fn(u8, u8) -> Ticks, parts: &[(u8, u8, i64)], plain: T
     [a, b, c, a + b, a - b, (a + b) - c, a.max(b), a.min(b), plain + c, plain - c, half]
 }
 
-/// All comparisons of all pairs.
+/// The results of all comparisons of all pairs of times.
 fn compared(times: &[Ticks]) -> Vec<(bool, bool, Ordering, bool)> {
     let pairs = times.iter().flat_map(|one| times.iter().map(move |other| (one, other)));
     pairs.map(|(one, other)| (one < other, one >= other, one.cmp(other), one == other)).collect()

@@ -31,8 +31,8 @@ fn symbols_stand_for_all_numbers_that_are_answered_alike() {
     random_runs_are_alike((1_500, 0..12), |world| world, run);
 }
 
-/// The effects of a message with 9 ticks to live that meets a working thread, which rejects it. The penalty of 4 ticks is
-/// cut to half of the remaining time.
+/// The effects of a message with a TTL of 9 ticks that a working thread rejects. The penalty of 4 ticks is cut to half of
+/// the remaining time.
 fn rejected(times: Clock<'_>) -> Vec<Effects> {
     let mut cell = Cell::new("rejected", Ticks(1));
     let node = cell.node("n");

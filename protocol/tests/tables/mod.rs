@@ -1,4 +1,5 @@
-//! Tables that replace others in running nodes (D184): what stays, what follows the new routes, and what is refused.
+//! Tables that replace others in running nodes (D184): what stays, what follows the new routes, and which tables a node
+//! does not take.
 
 mod random;
 
@@ -35,7 +36,7 @@ fn around(table: &CellTable, epoch: u32, links: &[(NodeId, NodeId)], relays: &[N
     Arc::new(table.around(epoch, avoid).expect("times that cover the longer routes"))
 }
 
-/// Carries out what the arm is asked, and lets it wait for more. Returns how many commands it got.
+/// Lets the arm carry out its commands and wait for more. Returns how many commands it got.
 fn serve(net: &mut VirtualCell) -> usize {
     let told = net.told(ARM);
     let messages =
@@ -227,8 +228,9 @@ fn a_learnt_route_is_taken_until_it_is_retired() {
     assert!(forged(&mut net), "the former route");
 }
 
-/// Every choice of the instants at which the four nodes replace their tables, while a command is under way and is answered: it
-/// runs exactly once, and its retransmissions make up for packets that met two tables.
+/// Every choice of the instants at which the four nodes replace their tables, while a command and its answer are in flight.
+/// The command runs exactly once, and its retransmissions make up for packets that were dropped between nodes of two
+/// tables.
 #[test]
 fn a_command_runs_once_whenever_each_node_switches() {
     const INSTANTS: u64 = 7;

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
-/// A random cell of three to five nodes. On each, one task asks and one serves.
+/// A random cell of three to five nodes. On each node one task asks and one task serves.
 #[derive(Clone, Debug)]
 struct Random {
     tree: Vec<(u16, u64)>,
@@ -61,7 +61,7 @@ struct Run {
     net: VirtualCell,
     tables: Vec<Arc<CellTable>>,
     count: u16,
-    /// For each asking task, the instant at which its request has an outcome at the latest.
+    /// For each asking task, the latest instant at which its request must have an outcome.
     asks: BTreeMap<TaskId, u64>,
     ran: HashMap<(TaskId, MessageId), usize>,
     outcomes: Vec<Outcome>,
@@ -92,7 +92,7 @@ impl Run {
         self.net.ask(task, Request::Get { port: None, source: None, time_out: None });
     }
 
-    /// A task asks another one, unless its last request has no outcome yet.
+    /// Lets a task ask another task, unless its last request has no outcome yet.
     fn ask(&mut self, from: u16, to: u16) {
         let (task, port) = (TaskId(2 * (from % self.count)), PortId(to % self.count));
         if !self.asks.contains_key(&task) {
@@ -137,8 +137,8 @@ impl Run {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// If all nodes replace their tables at one instant, nothing is lost: every command is answered without a retransmission,
-    /// whatever was outstanding, waiting or on a link.
+    /// If all nodes replace their tables at one instant, no message is lost: every command is answered without a
+    /// retransmission, whatever was outstanding, waiting or on a link.
     #[test]
     fn a_switch_at_one_instant_loses_nothing(
         random in randoms(0),
@@ -148,7 +148,7 @@ proptest! {
         let mut run = Run::new(&random, &avoided);
         for (i, (what, from, to)) in draws.into_iter().enumerate() {
             if what % 2 == 0 { run.ask(from, to) }
-            // The busy link lets packets wait in the transit buffers.
+            // Busy links let packets wait in the transit buffers.
             if what % 16 == 1 { run.net.block(&[NodeId(from % run.count)]) }
             if what % 8 == 3 { run.net.block(&[]) }
             if i % 60 == 59 && i / 60 < run.tables.len() {
@@ -166,9 +166,9 @@ proptest! {
         prop_assert!(replies + late >= run.outcomes.len(), "{:?}", run.outcomes);
     }
 
-    /// Tables are pushed to the nodes one after the other, in any order, late, and again, while links lose packets.
-    /// Each request has one outcome, no command runs twice, and tables that are not newer are refused. If all nodes
-    /// have learnt the table before, no packet is dropped for its route.
+    /// Tables are pushed to the nodes one after the other, in any order, late, and again, while links lose packets. Each
+    /// request has one outcome, no command runs twice, and nodes take no table that is not newer. If all nodes have learnt
+    /// the table before, no packet is dropped for its route.
     #[test]
     fn a_switch_node_by_node_runs_nothing_twice(
         random in randoms(3),

@@ -19,7 +19,8 @@ use std::time::Duration;
 /// How many packets the transit buffer of a node holds, unless the program sets another number.
 pub const TRANSIT_CAPACITY: u16 = 1024;
 
-/// For how long a waiting thread spins before it sleeps, by default: about what it takes to wake a thread on another core.
+/// For how long a waiting thread spins before it sleeps, by default: about the time that it takes to wake a thread on
+/// another core.
 pub const SPIN: Duration = Duration::from_micros(50);
 
 /// Collects everything that a node needs before it starts. [`Runtime::builder`] makes one.
@@ -98,7 +99,7 @@ impl Builder {
         self
     }
 
-    /// Sets how many packets for other nodes may wait at once.
+    /// Sets how many packets for other nodes may wait in the transit buffer at once.
     pub fn transit_capacity(mut self, packets: u16) -> Self {
         self.capacity = packets;
         self
@@ -110,7 +111,8 @@ impl Builder {
         self
     }
 
-    /// Sets the program of a task. It runs once, on a thread of its own. [`Context::with_state`] gives it a state.
+    /// Sets the program of a task. The program runs once, on a thread of its own. [`Context::with_state`] gives the
+    /// program a state.
     pub fn task(
         mut self,
         name: &str,
@@ -121,9 +123,9 @@ impl Builder {
         self
     }
 
-    /// Sets the program of a task that is a future. One thread of the node runs all futures, so none of them may block that
-    /// thread. The future waits by `await`, for its communication task or for anything else, and any thread may wake it. If
-    /// it panics, only this task crashes. [`AsyncContext::with_state`] gives it a state.
+    /// Sets the program of a task that is a future. One thread of the node runs all futures, so none of them may block
+    /// that thread. The future waits by `await`, for its communication task or for anything else, and any thread may
+    /// wake it. If the future panics, only this task crashes. [`AsyncContext::with_state`] gives the program a state.
     ///
     /// ```
     /// use imrs_protocol::{Cell, CellTable, PortDecl, Ticks, Usage};
@@ -172,14 +174,14 @@ impl Builder {
         self
     }
 
-    /// Sets the script of a task, with durations in microseconds. A script has no thread: the thread that brings input runs
-    /// it.
+    /// Sets the script of a task, with durations in microseconds. A script has no thread of its own: the thread that
+    /// brings input for the task runs the script.
     pub fn script(mut self, name: &str, program: Arc<Program>) -> Self {
         self.programs.push((name.into(), TaskProgram::Script(program)));
         self
     }
 
-    /// Sets what carries out the actions of the scripts [default: a simulation that knows no results].
+    /// Sets the driver that carries out the actions of the scripts [default: a simulation that knows no results].
     pub fn actions(mut self, actions: Arc<dyn Actions>) -> Self {
         self.actions = Some(actions);
         self
@@ -197,20 +199,20 @@ impl Builder {
         self
     }
 
-    /// Sets for how long the waiting thread of a task spins before it sleeps [default: [`SPIN`]]; zero means that it does
-    /// not spin. The thread spins only if its last wait of that kind was brief, and while no other task's thread needs the
-    /// core. So the first of several long waits costs this much, and idle tasks cost nothing.
+    /// Sets for how long the waiting thread of a task spins before it sleeps [default: [`SPIN`]]; zero means that it
+    /// does not spin. The thread spins only if its last wait of that kind was brief, and while no other task's thread
+    /// needs the core. So of several long waits only the first spins, and idle tasks cost nothing.
     pub fn spin(mut self, budget: Duration) -> Self {
         self.spin = budget;
         self
     }
 
     /// Sets how long before the end of a delay or a time_out a task's thread wakes, to spin until the end [default:
-    /// [`SPIN_TAIL`], which covers the thread's own way to its program]; zero means that it does not spin. A longer tail
-    /// also covers the kernel's wake-up, tens of microseconds. Each wait that ends by its deadline costs at most this much
-    /// of a core. In a wait that is shorter than the tail the thread spins from the beginning, unless the tail is the
-    /// default. The Timer thread, which serves scripts and futures, spins for at most the default. Waits in the socket have
-    /// no tail: there a thread waits for messages, and for a delay alone unless this is set.
+    /// [`SPIN_TAIL`], which covers the thread's own way to its program]; zero means that it does not spin. A longer tail also
+    /// covers the kernel's wake-up, tens of microseconds. Each wait that ends by its deadline costs at most this much of a
+    /// core. In a wait that is shorter than the tail the thread spins from the beginning, unless the tail is the default. The
+    /// Timer thread, which serves scripts and futures, spins for at most the default. Waits in the socket have no tail: a
+    /// thread waits there for messages, and for a delay alone only if this length is not set.
     pub fn spin_tail(mut self, length: Duration) -> Self {
         self.spin_tail = Some(length);
         self
@@ -226,7 +228,7 @@ impl Builder {
     /// Starts the node.
     ///
     /// # Errors
-    /// [`StartError`]. Nothing runs then.
+    /// [`StartError`]. No thread of the node runs then.
     pub fn start(self) -> Result<Runtime, StartError> {
         let decl = self.cell.cell().nodes.get(self.node.index()).ok_or(StartError::NoNode(self.node))?;
         if self.link.is_none() && self.cell.neighbours(self.node).next().is_some() {

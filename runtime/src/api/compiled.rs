@@ -9,7 +9,7 @@ use std::sync::Arc;
 /// The table of a cell that was checked when the program was compiled.
 ///
 /// # Panics
-/// If the bytes are not of the same version of this library.
+/// If the bytes were written by another version of this library.
 #[must_use]
 pub fn table(cell: &[u8]) -> Arc<CellTable> {
     let cell: Cell = postcard::from_bytes(cell).expect("the macros and the runtime are of one version");
@@ -19,7 +19,7 @@ pub fn table(cell: &[u8]) -> Arc<CellTable> {
 /// A builder for a node, with those scripts of the cell that belong to it.
 ///
 /// # Panics
-/// If the bytes are not of the same version of this library.
+/// If the bytes were written by another version of this library.
 pub fn builder(table: Arc<CellTable>, node: NodeId, scripts: &[(&str, NodeId, &[u8])]) -> Builder {
     let own = scripts.iter().filter(|(_, on, _)| *on == node);
     own.fold(Runtime::builder(table, node), |builder, (name, _, program)| {

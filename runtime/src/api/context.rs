@@ -30,12 +30,12 @@ use std::time::Duration;
 ///
 /// `S` is the state that the program and its handlers share: see [`with_state`](Self::with_state).
 pub struct Context<S = ()> {
-    /// What the program and its handlers share.
+    /// The state that the program and its handlers share.
     pub state: S,
     caller: Caller,
     handlers: Handlers<S>,
-    /// Messages that one call took together, with the time of each. Used within a call of `receive_many`, and
-    /// empty between calls.
+    /// Messages that one call took together, each with the time at which it was taken. Used within a call of
+    /// `receive_many`, and empty between calls.
     taken: Vec<(Micros, Delivery)>,
 }
 
@@ -70,7 +70,7 @@ impl<S> Context<S> {
         Self { state, caller: Caller::new(node, place), handlers: Handlers::default(), taken: Vec::new() }
     }
 
-    /// The task.
+    /// The task's number in the cell.
     #[must_use]
     pub fn id(&self) -> TaskId {
         self.caller.task()
@@ -129,10 +129,10 @@ impl<S> Context<S> {
         at_once(self.sent(port, to, contents, time_out))
     }
 
-    /// What `work` sends leaves together: all packets for one neighbour in one datagram, the most urgent first, or in one call
-    /// that the kernel cuts into datagrams. The packets leave when `work` ends, before anything in it waits, and as soon as they
-    /// are as many as the link takes at once. Outside of this call every message leaves at once. No time_out makes the packets
-    /// leave earlier, so `work` should do nothing but send.
+    /// The messages that `work` sends leave together: all packets for one neighbour in one datagram, the most urgent
+    /// first, or in one call that the kernel cuts into datagrams. The packets leave when `work` ends, before any call
+    /// in `work` waits, and as soon as there are as many packets as the link takes at once. Outside of `together` every
+    /// message leaves at once. No time_out makes the packets leave earlier, so `work` should do nothing but send.
     ///
     /// ```no_run
     /// # use imrs_runtime::{Context, TaskError, protocol::PortId};
@@ -186,7 +186,7 @@ impl<S> Context<S> {
     /// Answers a received class-2 message. Does not wait.
     ///
     /// # Errors
-    /// `Fault::Late` if the sender no longer waits: it will not hear this answer.
+    /// `Fault::Late` if the sender no longer waits: it will not get this answer.
     pub fn reply(&mut self, to: &ReplyTo, contents: &[u8]) -> Result<(), TaskError> {
         at_once(self.replied(to, contents))
     }
@@ -226,7 +226,7 @@ impl<S> Context<S> {
         at_once(self.met(port, [0; 8], None))
     }
 
-    /// As [`waitfor`](Self::waitfor), with arguments for the others, or with a shorter time_out than the port's.
+    /// As [`waitfor`](Self::waitfor), with arguments for the other members, or with a shorter time_out than the port's.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -239,8 +239,8 @@ impl<S> Context<S> {
         at_once(self.met(port, arguments, time_out))
     }
 
-    /// Ranks ports, sources, timers and the current thread from here on (§5.1.1). Of equal time_outs the first ranked goes first;
-    /// what is not named comes last.
+    /// Ranks ports, sources, timers and the current thread from here on (§5.1.1). Of two messages with equal time_outs
+    /// the one ranked first is served first; what `named` leaves out comes last.
     ///
     /// # Errors
     /// [`TaskError::TooManyLevels`].
@@ -272,13 +272,14 @@ impl<S> Context<S> {
         at_once(self.publishes(bytes))
     }
 
-    /// What the partner's last answer to a heartbeat carried; `None` before the first one.
+    /// The data that the partner's last answer to a heartbeat carried; `None` before the first answer.
     #[must_use]
     pub fn published(&mut self) -> Option<Contents> {
         self.caller.look(|comm| comm.machine().partner_published().copied())
     }
 
-    /// Asks and waits for the answer; handlers run meanwhile. Also returns the answer's age. Each answer is passed to `more`.
+    /// Makes a request and waits for its answer; handlers run meanwhile. Also returns the answer's age. Each answer is
+    /// passed to `more`.
     fn call_with(&mut self, request: Request, more: More<'_>) -> Result<(Signal, Ticks), TaskError> {
         let asked = clock::next();
         let over = match request {

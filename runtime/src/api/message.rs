@@ -7,8 +7,8 @@ use std::ops::Deref;
 /// The length of the longest message in bytes: 16 packets.
 pub const LONGEST: usize = 16 * CONTENTS_BYTES;
 
-/// A message of a port: a record of the cell language. Derive it with `imrs_macros::Message` for a struct whose fields are
-/// [`Field`]s, in the order of the record's.
+/// A message of a port: a record of the cell language. Derive it with `imrs_macros::Message` for a struct with the same
+/// fields in the same order. Each of them is a [`Field`].
 ///
 /// ```
 /// use imrs_runtime::message::{LONGEST, Message};
@@ -28,7 +28,7 @@ pub trait Message: Sized {
     /// can hold.
     fn encode(&self, out: &mut [u8; LONGEST]) -> Option<usize>;
 
-    /// Reads a message of exactly these bytes; `None` if they are no message of this type.
+    /// Reads a message from exactly these bytes; `None` if they are no message of this type.
     fn decode(bytes: &[u8]) -> Option<Self>;
 }
 
@@ -177,7 +177,7 @@ impl Bytes {
         all
     }
 
-    /// Appends a fragment, unless that would exceed [`LONGEST`].
+    /// Appends a fragment, unless the message would then be longer than [`LONGEST`].
     pub(crate) fn append(&mut self, contents: &Contents) {
         let part = contents.as_bytes();
         if let Some(room) = self.room.get_mut(self.length..self.length + part.len()) {

@@ -1,10 +1,10 @@
 //! Reads `CLOCK_BOOTTIME` through the processor's counter, where the kernel itself keeps time by that counter.
 //!
-//! A thread takes a reading of both clocks, an [`Anchor`], and for the next [`AGE`] derives the time from the counter alone. The
-//! result is a pair of bounds, so that neither error of the rate nor the order of two readings makes anything early: what is due
-//! is decided by the earlier bound, and what begins is stamped with the later one. A new anchor that lies outside of the bounds
-//! of the one before ends the use of the counter in this process. After a suspend it does so, too: only the kernel's clocks say
-//! how long that was (D197).
+//! A thread takes a reading of both clocks, an [`Anchor`], and for the next [`AGE`] derives the time from the counter
+//! alone. The result is a pair of bounds. An expiry is decided by the earlier bound, and a request is stamped with the
+//! later one, so neither an error of the rate nor the order of two readings makes anything end early. If a new anchor
+//! lies outside of the bounds of the anchor before it, this process stops using the counter. A suspend has the same
+//! effect: only the kernel's clocks say how long it was (D197).
 
 use std::cell::Cell;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -15,17 +15,19 @@ const AGE: u64 = 250_000;
 const BASE: u64 = 20_000_000;
 /// A reading of both clocks counts only if it took at most this long (ns).
 const BRIEF: u64 = 2_000;
-/// The bounds lie apart by this share of the time since the anchor to either side: 977 in a million. The kernel adjusts its
-/// clocks by at most 500, and [`BRIEF`] of [`BASE`] to either side is 200.
+/// The bounds diverge by this share of the time since the anchor, to either side: 1/1024, or 977 in a million. The
+/// kernel adjusts its clocks by at most 500 in a million. The rate is wrong by at most [`BRIEF`] / [`BASE`] to either
+/// side, which is 200 in a million.
 const SHARE: u64 = 1_024;
-/// And by this (ns) in addition: a processor may read its counter before what stands in front of that is done.
+/// The two bounds of a time lie this much further apart (ns), because a processor may read its counter before it has
+/// done the instructions in front of the reading.
 const SLACK: u64 = 100;
-/// The bits of a rate behind its point.
+/// The number of bits behind the binary point of a rate.
 const POINT: u32 = 32;
-/// The rate of a counter that is not used, or no longer.
+/// The rate of a counter that this process does not use, or has stopped using.
 const NEVER: u64 = u64::MAX;
 
-/// The two clocks.
+/// The kernel's clock and the processor's counter.
 pub(super) trait Clocks {
     /// `CLOCK_BOOTTIME`, in nanoseconds.
     fn kernel(&self) -> u64;
@@ -39,24 +41,24 @@ pub(super) struct Anchor {
     kernel: u64,
     before: u64,
     after: u64,
-    /// For how many counts it is used; 0 if not at all.
+    /// For how many counts after this reading a thread may use the anchor; 0 if not at all.
     lasts: u64,
 }
 
-/// The earliest and the latest time that it may be, in nanoseconds of the kernel's clock.
+/// The earliest and the latest possible value of the present time, in nanoseconds of the kernel's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Between {
     pub earliest: u64,
     pub latest: u64,
 }
 
-/// Nanoseconds of so many counts.
+/// Converts a number of counts to nanoseconds.
 fn nanos(counts: u64, rate: u64) -> u64 {
     u64::try_from((u128::from(counts) * u128::from(rate)) >> POINT).unwrap_or(u64::MAX)
 }
 
 impl Anchor {
-    /// No reading yet.
+    /// An anchor without a reading.
     pub const NONE: Self = Self { kernel: 0, before: 0, after: 0, lasts: 0 };
 
     fn take(clocks: &impl Clocks) -> Self {
@@ -65,7 +67,7 @@ impl Anchor {
         Self { kernel, before, after: clocks.count(), lasts: 0 }
     }
 
-    /// The bounds at a count.
+    /// The bounds of the time at this count of the counter.
     fn at(&self, count: u64, rate: u64) -> Between {
         let least = nanos(count.saturating_sub(self.after), rate);
         let most = nanos(count.saturating_sub(self.before), rate);
@@ -80,9 +82,9 @@ impl Anchor {
     }
 }
 
-/// What a process knows of its counter.
+/// What a process knows about its counter.
 pub(super) struct Counter {
-    /// Nanoseconds a count, with [`POINT`] bits behind the point; 0 while it is not known.
+    /// Nanoseconds for each count, with [`POINT`] bits behind the binary point; 0 while the rate is not known.
     rate: AtomicU64,
     first: Anchor,
 }
@@ -104,13 +106,13 @@ impl Counter {
         self.rate.load(Ordering::Relaxed) != NEVER
     }
 
-    /// The time, by the anchor of the calling thread or a new one.
+    /// The bounds of the present time, derived from the calling thread's anchor or from a new one.
     #[inline]
     pub fn read(&self, clocks: &impl Clocks, anchor: &Cell<Anchor>) -> Between {
         let (rate, known) = (self.rate.load(Ordering::Relaxed), anchor.get());
         if rate != NEVER {
             let count = clocks.count();
-            // A count from before the anchor wraps around, and so is too far behind it.
+            // If the counter reads less than at the anchor, the difference wraps around and so exceeds `lasts`.
             if count.wrapping_sub(known.after) < known.lasts {
                 return known.at(count, rate);
             }
@@ -118,7 +120,7 @@ impl Counter {
         self.anew(clocks, anchor)
     }
 
-    /// The time by the kernel, and an anchor for the next readings.
+    /// Reads the time from the kernel, and makes an anchor for the next readings.
     #[cold]
     fn anew(&self, clocks: &impl Clocks, anchor: &Cell<Anchor>) -> Between {
         let rate = self.rate.load(Ordering::Relaxed);
@@ -147,7 +149,7 @@ impl Counter {
         now
     }
 
-    /// Derives the rate from the first reading and this one, if both were brief and are far enough from each other.
+    /// Derives the rate from the process's first reading and this one, if both were brief and are far enough from each other.
     fn measure(&self, new: &Anchor) {
         let (length, counts) =
             (new.kernel.saturating_sub(self.first.kernel), new.after.saturating_sub(self.first.after));
@@ -156,16 +158,16 @@ impl Counter {
         }
         let rate = u64::try_from((u128::from(length) << POINT) / u128::from(counts)).unwrap_or(NEVER);
         if rate == 0 || self.first.took(rate) > BRIEF {
-            // The process was stopped in its first reading, or this is no counter.
+            // The process was stopped during its first reading, or the counter does not count.
             self.rate.store(NEVER, Ordering::Relaxed);
         } else if new.took(rate) <= BRIEF {
-            // Another thread may have come first: its rate stays, so that all anchors have the same.
+            // Another thread may have stored its rate first. That rate stays, so that all anchors have the same rate.
             let _ = self.rate.compare_exchange(0, rate, Ordering::Relaxed, Ordering::Relaxed);
         }
     }
 }
 
-/// From the next reading on, the thread has a new anchor: it is about to sleep.
+/// Makes the thread's next reading take a new anchor, because the thread is about to sleep.
 pub(super) fn renew(anchor: &Cell<Anchor>) {
     anchor.set(Anchor { lasts: 0, ..anchor.get() });
 }
@@ -175,7 +177,7 @@ mod tests {
     use super::*;
     use std::cell::RefCell;
 
-    /// Clocks that are set by hand: a true time, and a counter of 2.6 GHz that may be told to go wrong.
+    /// Clocks that the test sets: a true time, and a counter of 2.6 GHz that the test may make wrong.
     struct Given {
         now: Cell<u64>,
         counted: Cell<u64>,
@@ -214,7 +216,8 @@ mod tests {
         }
     }
 
-    /// Reads every 10 us for 10 ms, and returns how much the readings were early at most (ns), and how often the kernel was asked.
+    /// Reads every 10 us for 10 ms. Returns by how much the readings were early at most (ns), and how often the kernel
+    /// was asked.
     fn readings(given: &Given, counter: &Counter, anchor: &Cell<Anchor>) -> (u64, u64) {
         let (mut early, asked) = (0, *given.taken.borrow());
         for _ in 0..1_000 {
@@ -282,7 +285,7 @@ mod tests {
         let (counter, anchor) = (given.counter(), Cell::default());
         counter.read(&given, &anchor);
         renew(&anchor);
-        // The kernel's clock went on, the counter stood still.
+        // The kernel's clock went on while the counter stood still.
         given.now.set(given.now.get() + 3_600_000_000_000);
         assert_eq!(counter.read(&given, &anchor).earliest, given.now.get());
         assert!(!counter.is_trusted());

@@ -5,8 +5,8 @@ use crate::explorer::{Arc, SEES_OLD_VALUES, explore, thread};
 use crate::sync::combining_lock::{self, CombiningLock};
 use crate::sync::{Mutex, lock};
 
-/// Two threads each leave some work and try to take the lock, whose holder does all work that was left. Returns the most
-/// work that one of them did.
+/// Two threads each add some work to a pile and try to take the lock, whose holder does all work of the pile. Returns
+/// the most work that one of the threads did.
 fn two_take_turns(plant: Option<combining_lock::Plant>) -> u32 {
     fn put_and_take(turn: &CombiningLock<(), Option<combining_lock::Plant>>, pile: &Mutex<u32>) -> u32 {
         *lock(pile) += 1;
@@ -24,7 +24,7 @@ fn two_take_turns(plant: Option<combining_lock::Plant>) -> u32 {
     own.max(others)
 }
 
-/// As [`two_take_turns`], but a thread that gets the lock at once does its own work without leaving it.
+/// As [`two_take_turns`], but a thread that gets the lock at once does its own work without adding it to the pile.
 fn two_enter(blindly: bool) -> u32 {
     fn carry_or_put(turn: &CombiningLock<()>, pile: &Mutex<u32>, blindly: bool) -> u32 {
         let mut carried = 0;

@@ -10,7 +10,8 @@ use crate::sync::ready::ReadyFutures;
 use crate::sync::task_waker::TaskWaker;
 use std::task::{Wake, Waker};
 
-/// A machine whose task has asked, or has not. Like the real machine, it confirms a cancellation even if there is no wait.
+/// A machine whose task has made its request, or has not. Like the real machine, it confirms a cancellation even if
+/// there is no wait.
 #[derive(Default)]
 struct Asked {
     waits: bool,
@@ -68,7 +69,7 @@ impl Protected for Asked {
     }
 }
 
-/// The future at position 0 of its thread.
+/// The waker of the future at position 0 of its thread: it marks that future as ready.
 struct Mark(std::sync::Arc<ReadyFutures>);
 
 impl Wake for Mark {
@@ -101,8 +102,8 @@ impl Scene {
         })
     }
 
-    /// The future takes its answer; if there is none yet, it gives the machine an input. With `blindly` it gives
-    /// the input in any case.
+    /// The future takes its answer. If there is none yet, the future gives the machine an input; with `blindly` it does
+    /// so in any case.
     fn enter(&self, input: Brought, blindly: bool) -> Option<Got> {
         let mut called = false;
         let ask = |asked: &mut Asked, called: &mut bool| {
@@ -130,8 +131,8 @@ impl Scene {
     }
 }
 
-/// The future asks and listens; another thread brings the message. Returns how often it was polled again. With `late` it waits
-/// as soon as it listens, without entering again.
+/// The future makes its request and listens; another thread brings the message. Returns how often the future was polled
+/// again. With `late` the future waits as soon as it listens, without entering the machine again.
 fn ask_and_listen(plant: Option<Plant>, late: bool) -> u32 {
     let scene = Scene::new(plant);
     // Every future is polled once at the start.
@@ -156,7 +157,7 @@ fn ask_and_listen(plant: Option<Plant>, late: bool) -> u32 {
     polls
 }
 
-/// The future asks again for a message that came before it had asked.
+/// The future repeats its request for a message that came before its first request.
 fn kept(scene: &Scene) -> Brought {
     let kept = scene.handoff.look_at(|asked| std::mem::take(&mut asked.kept));
     if kept > 0 { Brought::Message } else { Brought::Nothing }

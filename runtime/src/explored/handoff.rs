@@ -1,11 +1,13 @@
-//! Scenes of the hand-off: answers, wake-ups, input that is left for the holder of the lock, time_outs, and stopping.
+//! Scenes of the hand-off of input and answers between threads: answers, wake-ups, input that is left for the holder of
+//! the lock, time_outs, and stopping.
 
 use super::{DEADLOCK, Listed, must_fail, must_fail_large};
 use crate::clock::FAR;
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
 use crate::sync::handoff::{Handoff, Plant, Protected, Rest};
 
-/// A machine of two states: its task has asked, or has not. It keeps an answer that comes before the question.
+/// A machine of two states: its task has made a request, or has not. The machine keeps an answer that comes before the
+/// request.
 #[derive(Default)]
 pub(super) struct Toy {
     asked: bool,
@@ -19,7 +21,7 @@ pub(super) enum Brought {
     /// The task takes an answer that is already there.
     Poll,
     Answer,
-    /// An answer comes that may wait for the task's thread.
+    /// An answer arrives; handling it may wait for the task's thread.
     News,
     TimeIsUp,
     Nothing,
@@ -98,13 +100,14 @@ pub(super) enum Waited {
     NotAtAll,
     /// The task's thread found the answer while it was spinning.
     Looking,
-    /// The answer came between the last look of the task's thread and its sleep.
+    /// The answer came after the task's thread had last looked for it, and before the thread slept.
     Awake,
     Asleep,
 }
 
-/// The task asks, looks `looks` times and then sleeps; another thread brings the answer. Without a wake-up, loom finds the
-/// deadlock. Returns how the task waited, and whether its thread handled the answer itself.
+/// The task makes a request, looks for the answer `looks` times and then sleeps; another thread brings the answer. If
+/// the wake-up is missing, loom finds the deadlock. Returns how the task waited, and whether its thread handled the
+/// answer itself.
 fn ask_and_wait(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);

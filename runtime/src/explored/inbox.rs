@@ -5,8 +5,8 @@ use super::{DEADLOCK, must_fail, must_fail_large};
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
 use crate::sync::handoff::{Entry, Handoff, Plant};
 
-/// A thread brings two answers. The task waits for one and takes every other that is there, until it has both. Returns the
-/// most answers taken at once.
+/// A thread brings two answers. The task waits for one, then takes every answer that is there, until it has both.
+/// Returns the most answers taken at once.
 fn take_several(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let bringing = Arc::clone(&handoff);

@@ -5,7 +5,7 @@ use super::must_fail;
 use crate::explorer::{SEES_OLD_VALUES, explore, thread};
 use crate::sync::lane::{Drain, Plant, used_lane};
 
-/// Takes the published records. Each has two slots, which hold the same number.
+/// Takes the published records. Each record has two slots, which hold the same number.
 fn take(drain: &mut Drain<1, Option<Plant>>, taken: &mut Vec<u64>) {
     let until = drain.filled();
     while let Some([number]) = drain.next(until) {
@@ -15,17 +15,18 @@ fn take(drain: &mut Drain<1, Option<Plant>>, taken: &mut Vec<u64>) {
     }
 }
 
-/// Yields to other threads if schedules are drawn: no thread waits in these scenes, so the explorer needs a hint where to
-/// switch threads. If all schedules are explored, this does nothing: loom would take the hint as a promise that this thread
-/// has nothing to do before another thread has run.
+/// Yields to other threads if schedules are drawn at random. No thread waits in these scenes, so the explorer needs a
+/// hint where to switch threads. If all schedules are explored, this does nothing: loom would take the hint as a
+/// promise that this thread has nothing to do before another thread has run.
 fn let_others_run() {
     if !SEES_OLD_VALUES {
         thread::yield_now();
     }
 }
 
-/// One thread puts two records into a lane with room for one, another takes them. `before` slots went through the lane
-/// earlier. Returns how many records found room, and whether any was taken while they came.
+/// One thread puts two records into a lane with room for one, while another thread takes them. `before` is the number
+/// of slots that went through the lane earlier. Returns how many records found room, and whether any was taken before
+/// both had been put.
 fn two_records(before: usize, plant: Option<Plant>) -> (u64, bool) {
     let (mut fill, mut drain) = used_lane::<1, _>(2, before, plant);
     let other = thread::spawn(move || {
@@ -54,7 +55,7 @@ fn two_records(before: usize, plant: Option<Plant>) -> (u64, bool) {
 
 #[test]
 fn what_found_room_comes_out_whole_and_in_order() {
-    // The counts wrap around between the two records, or within the second.
+    // The counts of the lane's slots wrap around between the two records, or within the second.
     for before in [0, usize::MAX - 1, usize::MAX - 2] {
         let seen = explore(move || two_records(before, None));
         let outcomes: Vec<_> = seen.keys().copied().collect();

@@ -8,7 +8,7 @@ use crate::sync::combining_lock::{self, CombiningLock};
 use crate::sync::handoff::{self, Handoff, ThreadWaker};
 use crate::sync::lead::{self, Came, Lead, Led};
 
-/// A socket as the kernel reports it: a datagram is reported to the leader if one waits, else to the polling thread.
+/// A socket as the kernel shows it: a datagram is reported to the leader if one waits, else to the polling thread.
 pub(super) struct Socket {
     state: PlainMutex<State>,
     leaders: Condvar,
@@ -17,15 +17,15 @@ pub(super) struct Socket {
 
 #[derive(Default)]
 struct State {
-    /// The datagrams in the socket: true for one to the leader's task.
+    /// The datagrams in the socket; true means that the datagram is for the leader's task.
     datagrams: Vec<bool>,
     /// How many datagrams, arrived or still to come, no thread has taken yet.
     open: u32,
     leads: bool,
     told: bool,
     called: bool,
-    /// Whether reports are edge-triggered, so that a datagram that is still there is not reported again. For the test that
-    /// must fail.
+    /// Whether reports are edge-triggered, so that a datagram that is still in the socket is not reported again. For
+    /// the test that must fail.
     edges: bool,
 }
 
@@ -47,8 +47,8 @@ impl Socket {
         }
     }
 
-    /// The leader's wait. If it reports a datagram, the datagram is there when this returns, unless the polling
-    /// thread has taken it.
+    /// The leader waits. If this reports a datagram, the datagram is in the socket on return, unless the polling thread
+    /// has taken it.
     pub(super) fn wait(&self) -> Came {
         let mut state = self.state.lock().unwrap();
         loop {
@@ -64,7 +64,7 @@ impl Socket {
         }
     }
 
-    /// The polling thread's wait. False once no datagram is still to come.
+    /// The polling thread waits. Returns false once no datagram is still to come.
     pub(super) fn poll(&self) -> bool {
         let mut state = self.state.lock().unwrap();
         while state.open > 0 && (!state.told || state.datagrams.is_empty()) {
@@ -106,7 +106,7 @@ struct Scene {
 struct Planted {
     /// The link does not wake a thread that waits in it.
     no_waker: bool,
-    /// The leader leaves a reported datagram in the socket when its own wait is over.
+    /// When the leader's own wait is over, it leaves a datagram in the socket that the kernel has reported to it.
     leaves_told: bool,
     /// The kernel's reports are edge-triggered.
     edges: bool,
@@ -158,8 +158,8 @@ impl Scene {
         took
     }
 
-    /// The task asks and waits, after it has looked `looks` times into the socket. Returns how the wait went, and how many
-    /// datagrams the task's thread took.
+    /// The task makes a request and waits, after it has looked `looks` times into the socket. Returns how the wait
+    /// went, and how many datagrams the task's thread took.
     fn run_task(&self, looks: u32) -> (Led, u32) {
         let (mut worked, mut took, mut led) = (0, 0, Led::ToTheEnd);
         let mut entry = self.handoff.enter(Brought::Question, &mut worked);
@@ -187,7 +187,7 @@ impl Scene {
     }
 }
 
-/// The answer comes as a datagram. Returns how the task's wait went, and whether it took its answer itself.
+/// The answer comes as a datagram. Returns how the task's wait went, and whether the task's thread took the answer itself.
 fn answer_by_datagram(planted: Planted, looks: u32) -> (Led, u32) {
     let scene = Scene::new(planted, 1);
     let (poller, network) = (Arc::clone(&scene), Arc::clone(&scene));
@@ -225,8 +225,8 @@ fn a_look_into_the_socket_does_not_make_up_for_the_waker() {
     must_fail_large(DEADLOCK, || answer_by_datagram(Planted { no_waker: true, ..Planted::default() }, 1));
 }
 
-/// The answer comes from another task of the node; meanwhile a datagram for a third task comes. Returns whether the leader
-/// was woken, and whether it took that datagram.
+/// The answer comes from another task of the node; meanwhile a datagram for a third task comes. Returns whether the
+/// leader was woken, and whether the leader took that datagram.
 fn answer_by_another_task(planted: Planted) -> (Led, u32) {
     let scene = Scene::new(planted, 1);
     let (poller, other) = (Arc::clone(&scene), Arc::clone(&scene));
@@ -254,7 +254,8 @@ fn a_leader_that_leaves_what_it_was_told_of_hands_it_to_nobody() {
     must_fail_large(DEADLOCK, || answer_by_another_task(Planted { leaves_told: true, ..Planted::default() }));
 }
 
-/// The polling thread finds the socket empty, and the next datagram is reported to the leader before the turn is free.
+/// The polling thread finds the socket empty. While it still holds the right to receive, the kernel reports the next
+/// datagram to the leader.
 fn two_datagrams(planted: Planted) -> (Led, u32) {
     let scene = Scene::new(planted, 2);
     scene.socket.arrive(false);

@@ -46,8 +46,8 @@ impl Protected for Observed {
     }
 }
 
-/// A machine makes three observations while an observer follows, in a ring that keeps two. Returns how many the observer
-/// lost. The observations that it reads are in order; together with the lost ones they are three.
+/// A machine makes three observations while an observer follows, in a ring that keeps two. Returns how many the
+/// observer lost. The observations that the observer reads are in order; together with the lost ones they are three.
 fn follow(forgets_the_loss: bool) -> u64 {
     let mut ring = Ring::of(2);
     ring.forgets_the_loss = forgets_the_loss;
@@ -138,8 +138,8 @@ impl Protected for Stamper {
     }
 }
 
-/// An observer asks up to which time all steps are reported, while steps are reported. Returns how many steps came before
-/// the answer; later steps must not be older than the answer.
+/// An observer asks up to which time all steps are reported, while a machine reports steps. Returns how many steps were
+/// reported before the answer; later steps must not be older than the answer.
 fn told_until(stamped_outside: bool) -> usize {
     let clock = Arc::new(AtomicU64::new(0));
     let stamper = Stamper { clock: Arc::clone(&clock), told: [None; 2], count: 0 };
@@ -205,9 +205,9 @@ impl Protected for Sender {
     }
 }
 
-/// A packet expires in the buffer at the same time as its sender's time_out. The thread that drops the packet leaves the
-/// news of it; the sender checks the buffer before it decides. Returns whether the sender dropped the packet itself. The
-/// bug: the news is left after the buffer's lock is released.
+/// A packet expires in the buffer at the same instant at which its sender's time_out ends. The thread that drops the packet
+/// leaves a note of this for the sender; the sender checks the buffer before it decides. Returns whether the sender dropped
+/// the packet itself. The planted bug: the thread leaves the note after it has released the buffer's lock.
 fn expire_in_the_buffer(news_comes_late: bool) -> bool {
     fn advance(buffer: &Mutex<bool>, handoff: &Handoff<Sender>, news_comes_late: bool) -> bool {
         let mut held = lock(buffer);

@@ -30,7 +30,7 @@ impl Scene {
         self.park.call();
     }
 
-    /// Takes one datagram, and wakes the future if the datagram is for it. Returns how many there were.
+    /// Takes one datagram, and wakes the future if the datagram is for it. Returns how many datagrams it took.
     fn take(&self) -> u32 {
         let datagram = self.socket.take();
         if datagram == Some(true) {
@@ -72,7 +72,7 @@ impl Scene {
     }
 }
 
-/// A datagram wakes the future, whichever thread takes it in.
+/// A datagram wakes the future, whichever thread receives the datagram.
 fn woken_by_datagram(plant: Option<Plant>) -> (Option<Led>, u32) {
     let scene = Scene::new(plant, 1);
     let (poller, network) = (Arc::clone(&scene), Arc::clone(&scene));

@@ -27,13 +27,13 @@ impl Scene {
         })
     }
 
-    /// Runs the thread of the futures until the futures in `waits` have ended. Returns how often each was polled before
-    /// it ended.
+    /// Runs the thread of the futures until the futures in `waits` have ended. Returns how often each of them was
+    /// polled before it ended.
     fn run(&self, waits: [bool; 2]) -> [u32; 2] {
         self.run_and(waits, |_| (), || false)
     }
 
-    /// As [`run`](Self::run): `ended` is told which future ended, and the thread does not wait if `any` is true.
+    /// As [`run`](Self::run). Also calls `ended` with the future that ended, and does not wait if `any` returns true.
     fn run_and(&self, mut waits: [bool; 2], ended: impl Fn(usize), any: impl Fn() -> bool) -> [u32; 2] {
         let mut polls = [0; 2];
         loop {
@@ -47,8 +47,8 @@ impl Scene {
             if waits == [false; 2] {
                 return polls;
             }
-            // This check only saves time for marks that other threads set, because these also call the
-            // thread, and the call alone keeps it awake.
+            // This check only saves time for marks that other threads set. These threads also wake the futures' thread,
+            // and that wake-up alone keeps it awake.
             if !any() {
                 self.ready.park.sleep();
             }
@@ -56,7 +56,7 @@ impl Scene {
     }
 }
 
-/// Two threads, each of which wakes a future of its own.
+/// Two threads each wake a future of their own.
 fn each_wakes_one(plant: Option<Plant>) -> [u32; 2] {
     let scene = Scene::new(plant);
     let others = [scene.bring(0), scene.bring(1)];
@@ -77,7 +77,7 @@ fn both_wake_one(plant: Option<Plant>) -> [u32; 2] {
     polls
 }
 
-/// A thread wakes the second future, and that one wakes the first.
+/// A thread wakes the second future, and the second future wakes the first.
 fn one_wakes_the_other(asks: bool) -> [u32; 2] {
     let scene = Scene::new(None);
     let other = scene.bring(1);

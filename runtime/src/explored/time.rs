@@ -1,4 +1,4 @@
-//! Scenes of time: which thread covers an expiry, and how the Timer thread ends.
+//! Scenes of time: which thread takes care of an expiry, and how the Timer thread ends.
 
 use super::{DEADLOCK, Listed, must_fail, must_fail_large};
 use crate::clock::{FAR, Micros};
@@ -19,7 +19,7 @@ enum Found {
     AfterSleep,
 }
 
-/// The Timer thread has served one expiry and looks for the next while another thread publishes one.
+/// The Timer thread has served one expiry and looks for the next, while another thread publishes an expiry.
 fn publish_while_looking(plant: Option<Plant>) -> Found {
     let alarm = alarm(2, plant);
     alarm.publish(1, 3);
@@ -58,10 +58,10 @@ fn without_its_fence_the_alarm_hides_an_expiry() {
     }
 }
 
-/// The present instant of these scenes, for all threads.
+/// The present instant in the scenes of this module, for all threads.
 const NOW: Micros = 3;
 
-/// Runs the Timer thread until it is told to end. Returns how often it was needed.
+/// Runs the Timer thread until it must end. Returns how often it served an expiry.
 fn serve(alarm: &Planted, closing: &AtomicBool, mut tend: impl FnMut()) -> u32 {
     let mut served = 0;
     while alarm.next(0, || closing.load(Ordering::SeqCst), || NOW).is_some() {
@@ -71,7 +71,7 @@ fn serve(alarm: &Planted, closing: &AtomicBool, mut tend: impl FnMut()) -> u32 {
     served
 }
 
-/// The node closes while the Timer thread works or sleeps. Returns how often that thread was needed before.
+/// The node closes while the Timer thread works or sleeps. Returns how often that thread had served an expiry before.
 fn close(plant: Option<Plant>) -> u32 {
     let alarm = alarm(1, plant);
     let closing = Arc::new(AtomicBool::new(false));
@@ -94,7 +94,7 @@ fn looking_for_the_end_too_soon_sleeps_through_it() {
     must_fail(DEADLOCK, || close(Some(Plant::EndBeforeRung)));
 }
 
-/// A machine that has one expiry, now or a long time ahead.
+/// A machine that has one expiry: now, or a long time from now.
 struct Timed {
     alarm: Arc<Planted>,
     cover: Cover,
@@ -103,9 +103,9 @@ struct Timed {
 
 #[derive(Clone, Copy, PartialEq)]
 enum Moment {
-    /// The task asks for something with a long time_out.
+    /// The task makes a request with a long time_out.
     Asked,
-    /// Input from elsewhere expires now.
+    /// Input of another thread sets an expiry that is due now.
     Sooner,
     TimeIsUp,
     Nothing,
@@ -197,7 +197,7 @@ fn an_expiry_before_the_end_of_the_sleep_needs_the_timer() {
     must_fail_large(DEADLOCK, || an_expiry_changes_hands(true));
 }
 
-/// A machine whose expiries only the Timer thread covers. It asks, and is mostly answered in time.
+/// A machine whose expiries only the Timer thread serves. Most of its requests are answered in time.
 struct Kept {
     cover: Cover,
     now: Micros,
@@ -205,7 +205,7 @@ struct Kept {
 }
 
 impl Kept {
-    /// Something changes when the machine next expires.
+    /// The instant at which the machine next expires has changed.
     fn expires(&mut self, due: Micros, alarm: &Planted) {
         self.due = due;
         self.settle(alarm);
@@ -225,8 +225,8 @@ impl Kept {
     }
 }
 
-/// A machine asks, is answered in time, asks again and then for less, while the Timer thread serves it. Returns what stands
-/// published after the answer.
+/// A machine makes a request, gets its answer in time, and makes two more requests, the last with a shorter time_out;
+/// the Timer thread serves the machine. Returns which expiry is published after the answer.
 fn an_answered_request_stays_published(keeps: Option<Keeps>) -> Micros {
     let alarm = alarm(1, None);
     let mut cover = Cover::new(0);

@@ -1,9 +1,9 @@
 //! Helps a program that moves a tool to act for only one task of a couple at a time.
 //!
-//! Two work-coupled tasks never act at the same time, but the processes that act for them may be stopped, suspended, or left
-//! behind by nodes that die. So the program that moves the tool checks for itself. A *gate* is a file that holds the newest
-//! epoch; all processes that move the tool share it. A process shows its epoch there before it acts. From then on older
-//! epochs are refused, even in the middle of their work.
+//! Two work-coupled tasks never act at the same time, but the processes that act for them may be stopped, suspended, or
+//! left behind by nodes that die. So the program that moves the tool makes a check of its own. A *gate* is a file that
+//! holds the newest epoch; all processes that move the tool share it. A process shows its epoch to the gate before it
+//! acts. From then on the gate refuses older epochs, even in the middle of their work.
 //!
 //! What a command learns from the runtime that started it:
 //!
@@ -34,7 +34,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! It is no safety function: it keeps programs that obey it from acting for two tasks, and stops no motor.
+//! This module is no safety function: it keeps programs that obey it from acting for two tasks, and stops no motor.
 
 use crate::clock;
 use imrs_wire::files;
@@ -47,9 +47,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use thiserror::Error;
 
-/// The environment variable with the epoch.
+/// The environment variable that holds the epoch of a command's lease.
 pub const EPOCH: &str = "IMRS_EPOCH";
-/// The environment variable with the deadline. The runtime sets it for every command.
+/// The environment variable that holds the deadline of a command. The runtime sets it for every command.
 pub const DEADLINE: &str = "IMRS_DEADLINE_US";
 
 /// The beginning of a gate's file. The newest epoch follows, in three digits.
@@ -62,12 +62,12 @@ pub enum GateError {
     /// The file cannot be opened, locked, read or written.
     #[error("cannot use the gate {path}: {source}")]
     File {
-        /// The file that the operation failed on.
+        /// The file on which the operation failed.
         path: PathBuf,
         /// The error of the operating system.
         source: io::Error,
     },
-    /// The file exists, but is not that of a gate.
+    /// The file exists, but is no gate's file.
     #[error("{0} is no file of a gate: name another file, or remove this one")]
     Foreign(PathBuf),
 }
@@ -99,11 +99,11 @@ pub fn now() -> u64 {
 
 /// The file that holds the newest epoch of a tool, shared by all programs that act with the tool.
 ///
-/// A second file beside it, `PATH.next`, is the queue: a program that waits for an admission locks it, and steps that begin
-/// meanwhile wait behind. So steps in close succession keep no newer epoch out.
+/// A second file beside it, `PATH.next`, is the queue: a program that waits for an admission locks this file, and steps that
+/// begin then wait for it. So steps in close succession keep no newer epoch out.
 ///
-/// The file survives a restart of the machine. When the whole cell restarts, its epochs begin anew: [`reset`](Self::reset) the
-/// gate before, or keep the file where a restart of the machine removes it (`/run`).
+/// The file survives a restart of the machine. When the whole cell restarts, its epochs begin anew. So
+/// [`reset`](Self::reset) the gate before that, or keep the file where a restart of the machine removes it (`/run`).
 #[derive(Clone, Debug)]
 pub struct Gate {
     path: PathBuf,
@@ -116,7 +116,7 @@ impl Gate {
     /// [`GateError`] if the file cannot be used, or belongs to something else.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, GateError> {
         let gate = Self { path: path.as_ref().to_owned() };
-        // This read finds a foreign file now, and not only when the tool should move.
+        // This read finds a foreign file when the gate is opened, not only when the tool must move.
         gate.locked(FlockOperation::LockShared)?.newest()?;
         Ok(gate)
     }
@@ -124,7 +124,7 @@ impl Gate {
     /// Admits a program that acts under this epoch until `deadline`; from then on no program may act under an older epoch.
     /// Waits for the end of a step that another program is [in the middle of](Permit::act).
     ///
-    /// Epochs wrap around at 256: the newer of two is less than 128 ahead. Returns once the epoch is on the disk.
+    /// Epochs wrap around at 256: the newer of two is less than 128 ahead. Returns once the new epoch is on the disk.
     ///
     /// # Errors
     /// [`Refused`].
@@ -143,13 +143,13 @@ impl Gate {
                 held.write(Some(epoch))?;
             }
         }
-        // A lock belongs to an open file. Dropping `held` releases its lock, and the permit opens the file for itself.
+        // A lock belongs to an open file. Dropping `held` releases its lock, so the permit opens the file again for itself.
         drop(held);
         let (file, next) = (self.file()?, self.next()?);
         Ok(Permit { file, next, path: self.path.clone(), epoch, deadline })
     }
 
-    /// Forgets all epochs: no program that was admitted before may act. For the start of a whole cell.
+    /// Forgets all epochs: no program that was admitted before may act. Call it at the start of a whole cell.
     ///
     /// # Errors
     /// [`GateError`] if the file cannot be used.
@@ -171,8 +171,8 @@ impl Gate {
         open(&self.next_path())
     }
 
-    /// Takes the exclusive lock. `flock` does not prefer writers, so steps that begin while this waits must wait at
-    /// `PATH.next`.
+    /// Takes the exclusive lock on the gate's file. `flock` does not prefer writers, so programs that begin a step
+    /// during this wait must queue at `PATH.next`.
     fn exclusive(&self) -> Result<Held<'_>, GateError> {
         let path = self.next_path();
         let _queue = Held::new(open(&path)?, &path, FlockOperation::LockExclusive)?;
@@ -195,13 +195,13 @@ fn open(path: &Path) -> Result<File, GateError> {
     file.map_err(|source| GateError::File { path: path.to_owned(), source })
 }
 
-/// Whether epoch `one` is newer than `other`, around the wrap.
+/// Whether epoch `one` is newer than `other`, where epochs wrap around.
 const fn is_newer(one: u8, other: u8) -> bool {
     let steps = one.wrapping_sub(other);
     steps != 0 && steps < 128
 }
 
-/// A gate's file, locked until this is dropped.
+/// A gate's file, which stays locked until this value is dropped.
 struct Held<'a> {
     file: File,
     path: &'a Path,
@@ -241,7 +241,7 @@ fn lock(file: &File, path: &Path, how: FlockOperation) -> Result<(), GateError> 
 
 /// The newest epoch in a file; `None` if no program was admitted yet.
 fn newest(file: &File, path: &Path) -> Result<Option<u8>, GateError> {
-    // The buffer has one byte more than the file may have, so that a file that is too long shows.
+    // The buffer has one byte more than the file may have, so that a file that is too long is noticed.
     let mut bytes = [0; BYTES + 1];
     let mut length = 0;
     loop {
@@ -275,8 +275,8 @@ impl Permit {
     /// Whether the program may act now: its deadline is ahead, and no program was admitted under a newer epoch. Each call
     /// checks both, which takes about a microsecond. If the gate cannot be read, the answer is false.
     ///
-    /// An action after this check may come late: a program that is stopped in between does not notice. [`act`](Self::act) keeps
-    /// newer epochs waiting meanwhile.
+    /// An action after this check may come too late, because a program that is stopped between the two does not notice.
+    /// [`act`](Self::act) keeps newer epochs waiting until the action has ended.
     #[must_use]
     pub fn may_act(&self) -> bool {
         self.check().is_ok()
@@ -305,7 +305,7 @@ impl Permit {
         match newest(&self.file, &self.path)? {
             Some(newest) if newest == self.epoch => Ok(()),
             Some(newest) => Err(Refused::Epoch { shown: self.epoch, newest }),
-            // The gate was reset, because the cell starts anew.
+            // The gate was reset after this program was admitted, because the cell starts anew.
             None => Err(Refused::Deadline),
         }
     }
@@ -317,11 +317,11 @@ impl Permit {
     }
 }
 
-/// The instant until which a program may act. Clones share one deadline: renewing or ending one does so for all.
+/// The instant until which a program may act. Clones share one deadline: renewing or stopping one clone does so for all.
 #[derive(Clone, Debug)]
 pub struct Deadline(Arc<AtomicU64>);
 
-/// The deadline of a program that must stop.
+/// The value of the deadline of a program that must stop.
 const STOPPED: u64 = 0;
 
 impl Deadline {
@@ -337,7 +337,7 @@ impl Deadline {
         Self::at(u64::MAX)
     }
 
-    /// Moves the deadline to a later instant. An earlier one changes nothing, and so does any after a [`stop`](Self::stop).
+    /// Moves the deadline to a later instant. An earlier instant changes nothing; after a [`stop`](Self::stop) no instant does.
     pub fn renew(&self, micros: u64) {
         let later = |now: u64| (now != STOPPED && micros > now).then_some(micros);
         // The update fails if it would change nothing, and that is no error.
@@ -355,10 +355,10 @@ impl Deadline {
         now() < self.0.load(Ordering::Acquire)
     }
 
-    /// Follows the runtime's lines until they end, and then [stops](Self::stop). Call it in a thread of its own, with the
-    /// standard input. Unknown lines are skipped.
+    /// Follows the lines that the runtime writes until they end, and then [stops](Self::stop) the deadline. Call it in
+    /// a thread of its own, with the standard input. Unknown lines are skipped.
     pub fn follow(&self, input: impl BufRead) {
-        // A failed read counts as the end of the lines.
+        // A failed read counts as the end of the input.
         for line in input.lines().map_while(Result::ok) {
             let micros = line.strip_prefix("deadline ").and_then(|micros| micros.trim().parse().ok());
             micros.into_iter().for_each(|micros| self.renew(micros));
@@ -370,7 +370,7 @@ impl Deadline {
 /// The values that the runtime passes to a command in environment variables.
 #[derive(Clone, Debug)]
 pub struct Orders {
-    /// The epoch of its task's lease; `None` if the task is in no couple.
+    /// The epoch of the lease of the command's task; `None` if the task is in no couple.
     pub epoch: Option<u8>,
     /// Until when the command may act; [`Deadline::none`] if no runtime started the program.
     pub deadline: Deadline,

@@ -1,5 +1,5 @@
-//! The process that becomes the command. It ties its end to the guard's end, gives up a node's real-time privileges, and
-//! executes the program.
+//! The process that becomes the command. It makes sure that it ends when its guard ends, gives up a node's real-time
+//! privileges, and executes the program.
 
 use super::words::Errand;
 use rustix::process::{
@@ -16,7 +16,7 @@ use thread_priority::{
 
 /// The beginning of the line that says why the program cannot be executed. No program writes this by accident.
 pub const UNSTARTED: &[u8] = b"\0imrs-guard: ";
-/// The exit code if there is no such program, as in a shell.
+/// The exit code if the command's program does not exist; shells use the same one.
 const NOT_FOUND: u8 = 127;
 /// A priority that `thread-priority` maps to niceness 0.
 const ORDINARY: u8 = 47;
@@ -30,7 +30,7 @@ pub fn exec(errand: &Errand) -> ExitCode {
     let mut line = UNSTARTED.to_vec();
     line.extend(error.raw_os_error().unwrap_or_default().to_string().bytes());
     line.push(b'\n');
-    // Writing fails only if the guard is gone, and then no process needs the line.
+    // Writing fails only if the guard is gone, and then no process reads this line.
     let _ = io::stdout().write_all(&line);
     ExitCode::from(NOT_FOUND)
 }
@@ -38,7 +38,7 @@ pub fn exec(errand: &Errand) -> ExitCode {
 /// Ties this process, and the program that it becomes, to the guard: whatever ends the guard ends them.
 fn tie(errand: &Errand) -> io::Result<()> {
     set_parent_process_death_signal(Some(Signal::KILL))?;
-    // If the guard died before the call, it is no longer this process's parent, and the signal would never come.
+    // If the guard died before this call, the guard is no longer this process's parent, and the signal would never come.
     let guard = errand.parent.and_then(Pid::from_raw);
     if guard.is_none() || getppid() != guard {
         return Err(io::Error::from_raw_os_error(rustix::io::Errno::SRCH.raw_os_error()));
@@ -65,7 +65,7 @@ fn be_ordinary(cores: Option<&str>) {
                 set.set(core);
             }
         });
-        // If a core of the list no longer exists, the process stays on its present cores.
+        // If a core of the launcher's list no longer exists, the process stays on its present cores.
         let _ = sched_setaffinity(None, &set);
     }
     let is_ordinary = matches!(thread_schedule_policy(), Ok(ThreadSchedulePolicy::Normal(_)));

@@ -11,7 +11,7 @@ use std::fs;
 /// Kills the process group of the command and every other descendant of this process, and waits until none remains. Returns how
 /// the command itself ended. This process must be a child subreaper, so that no descendant can leave it.
 pub fn end_all(command: Pid) -> Option<WaitStatus> {
-    // The command is not reaped yet, so no other process group can have its number.
+    // The command is not reaped yet, so no other process group can have its process id.
     let _ = kill_process_group(command, Signal::KILL);
     let mut status = None;
     let mut options = WaitOptions::NOHANG;
@@ -23,14 +23,14 @@ pub fn end_all(command: Pid) -> Option<WaitStatus> {
                 }
                 options = WaitOptions::NOHANG;
             }
-            // A descendant remains. The children of a killed process become children of this process, whose end ends the
-            // wait.
+            // A descendant of this process remains. The children of a killed process become children of this process,
+            // so the end of each of them ends the wait.
             Ok(None) => {
                 kill_descendants();
                 options = WaitOptions::empty();
             }
             Err(Errno::INTR) => {}
-            // This process has no child, so the command has no descendant left.
+            // This process has no child left, so the command has no descendant left.
             Err(_) => return status,
         }
     }
@@ -43,16 +43,16 @@ fn kill_descendants() {
     for (&pid, &parent) in parents.iter().filter(|&(&pid, _)| descends(&parents, pid, own)) {
         let Some(process) = Pid::from_raw(pid) else { continue };
         let Ok(handle) = pidfd_open(process, PidfdFlags::empty()) else { continue };
-        // The number may belong to another process by now. That process has another parent, too.
+        // The process id may belong to another process by now. That process has another parent, too.
         if parent_of(pid).is_some_and(|now| now == parent || now == own) {
-            // This fails if the process has already ended, or now belongs to another user.
+            // The kill fails if the process has already ended, or now belongs to another user.
             let _ = pidfd_send_signal(&handle, Signal::KILL);
         }
     }
 }
 
 fn descends(parents: &BTreeMap<i32, i32>, mut pid: i32, from: i32) -> bool {
-    // The table may change while it is read, and so may contain a cycle.
+    // The table of parents may have changed while it was read, and so may contain a cycle.
     for _ in 0..parents.len() {
         match parents.get(&pid) {
             Some(&parent) if parent == from => return true,
@@ -73,7 +73,7 @@ fn parents() -> BTreeMap<i32, i32> {
 /// The parent of a process; `None` if there is no such process.
 pub fn parent_of(pid: i32) -> Option<i32> {
     let stat = fs::read(format!("/proc/{pid}/stat")).ok()?;
-    // The name may contain any characters, even parentheses; the state and the parent follow it.
+    // A process's name may contain any characters, even parentheses; the state and the parent follow the name.
     let stat = String::from_utf8_lossy(&stat);
     let (_, rest) = stat.rsplit_once(')')?;
     rest.split_whitespace().nth(1)?.parse().ok()

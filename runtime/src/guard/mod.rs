@@ -12,8 +12,8 @@
 //! - the lease of the task ends without a renewal, or the time of the action is over;
 //! - the command itself has ended: nothing that the command started stays behind.
 //!
-//! Only then does the guard say how the command ended. If the guard itself is killed, the kernel kills the command: the command
-//! asked for SIGKILL at the death of its parent, before the program of the action started.
+//! After these processes have ended, the guard says how the command ended. If the guard itself is killed, the kernel kills
+//! the command: the command asked for SIGKILL at the death of its parent, before the program of the action started.
 //!
 //! A guard is this same code in a process of its own: the program `imrs-guard`, or any program that calls [`entry`] at the start
 //! of `main`.
@@ -46,8 +46,8 @@ const USAGE: u8 = 2;
 
 /// Does the work of a guard if this process was started as one, and returns its exit code; otherwise returns `None` at once.
 ///
-/// A program whose [`Commands`](crate::script::Commands) use [`GuardProgram::This`] calls it first thing in `main`, before it starts
-/// any thread:
+/// A program whose [`Commands`](crate::script::Commands) use [`GuardProgram::This`] calls `entry` first in `main`,
+/// before it starts any thread:
 ///
 /// ```no_run
 /// use std::process::ExitCode;

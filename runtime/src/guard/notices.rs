@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 /// A notice about a command. Instants are microseconds of `CLOCK_BOOTTIME`, which all processes of a machine share.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Notice {
-    /// A node starts the command. The notice comes before anything runs.
+    /// A node starts the command. The node writes this notice before the command runs.
     Began {
         /// Identifies the command in its later notices, such as `1-0-4`.
         key: String,
@@ -32,7 +32,7 @@ pub enum Notice {
     Lost {
         /// Identifies the command: the key that [`Began`](Self::Began) gave.
         key: String,
-        /// The instant at which this was noticed.
+        /// The instant at which the node noticed the guard's death.
         at: u64,
     },
 }
@@ -53,7 +53,7 @@ impl Notice {
         }
     }
 
-    /// The notice in a line, which is given without its line break; `None` for any other line.
+    /// Reads the notice in a line without its line break; `None` if the line is no notice.
     #[must_use]
     pub fn read(line: &str) -> Option<Self> {
         let mut words = line.splitn(4, ' ');

@@ -22,9 +22,9 @@ pub struct Running {
 }
 
 struct State {
-    /// The process of the guard and its output; none once a thread follows the guard.
+    /// The process of the guard, and its output; `None` once a thread follows the guard.
     guard: Option<(Child, ChildStdout)>,
-    /// The guard's standard input. The command may run as long as this is open.
+    /// The guard's standard input. The command may run as long as this pipe is open.
     orders: Option<ChildStdin>,
     /// The end of the lease, as the guard knows it.
     until: u64,
@@ -42,8 +42,8 @@ impl Running {
         Ok(Self { state: Mutex::new(state), over: Condvar::new() })
     }
 
-    /// Listens to the guard until it has ended. Returns how its command ended; `None` if the guard did not say. It calls
-    /// `renew` now and then; `renew` returns after how many microseconds the next call is due.
+    /// Listens to the guard until it has ended. Returns how its command ended; `None` if the guard did not say. Calls
+    /// `renew` repeatedly; `renew` returns after how many microseconds its next call is due.
     pub fn follow(&self, renew: impl Fn() -> Option<u64>) -> Option<Outcome> {
         let (mut guard, mut words) = self.lock().guard.take()?;
         let (mut lines, mut group, mut outcome) = (Lines::default(), None, None);
@@ -58,8 +58,8 @@ impl Running {
         if outcome.is_none()
             && let Some(group) = group
         {
-            // The command died with its guard. The processes that the command started are in its group, or cannot be
-            // reached.
+            // The command died with its guard. The processes that the command started are in its process group, or
+            // cannot be reached.
             group.kill();
         }
         outcome
@@ -71,7 +71,7 @@ impl Running {
         if until <= state.until {
             return;
         }
-        // If the guard does not read this, the command ends at the end of the lease that the guard knows.
+        // If the guard does not read this line, the command ends at the end of the lease that the guard knows.
         let told =
             state.orders.as_mut().is_some_and(|orders| orders.write_all(lease(until).as_bytes()).is_ok());
         if told {
@@ -84,7 +84,8 @@ impl Running {
         self.lock().orders = None;
     }
 
-    /// Waits until the command and everything that it started have ended, at most for `patience`. Returns whether they have.
+    /// Waits until the command and everything that it started have ended, at most for `patience`. Returns whether they
+    /// have ended.
     pub fn wait(&self, patience: Duration) -> bool {
         let waited = self.over.wait_timeout_while(self.lock(), patience, |state| !state.is_over);
         waited.unwrap_or_else(PoisonError::into_inner).0.is_over
@@ -101,11 +102,11 @@ impl Running {
     }
 }
 
-/// The process group of a command. Its number is the process id of the command.
+/// The process group of a command. The group's number is the process id of the command.
 struct Group {
     number: Pid,
-    /// A handle on the command; `None` if its guard died before it was certain that this number still belonged to the
-    /// command.
+    /// A handle on the command; `None` if the guard died before it was certain that the group's number still belonged
+    /// to the command.
     command: Option<OwnedFd>,
 }
 
@@ -118,10 +119,10 @@ impl Group {
         Some(Self { number, command: command.filter(|_| parent_of(pid) == Some(guard)) })
     }
 
-    /// Kills the command's whole process group, unless its number belongs to another process by now.
+    /// Kills the command's whole process group, unless the group's number belongs to another process by now.
     fn kill(&self) {
-        // A command that is not reaped keeps the number, and so does every member of its group. So if another process has the
-        // number, the group is empty.
+        // A command that is not reaped keeps its process id, and so does each member of its group. So if another
+        // process has the id, the group is empty.
         let is_reaped = self
             .command
             .as_ref()
@@ -133,7 +134,7 @@ impl Group {
     }
 }
 
-/// Waits for a line of the guard; `false` once the guard says no more.
+/// Waits for a line of the guard; returns `false` once the guard will write no more.
 fn listen(words: &mut ChildStdout, lines: &mut Lines, renew: impl Fn() -> Option<u64>) -> bool {
     let after = renew().and_then(|after| after.checked_mul(1_000)).map(clock::timespec);
     match poll(&mut [PollFd::new(words, PollFlags::IN)], after.as_ref()) {

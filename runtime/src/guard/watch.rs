@@ -18,7 +18,7 @@ use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, ChildStdin, ChildStdout, ExitCode, Stdio};
 
-/// How many bytes of the first line of a command's output count as its answer.
+/// The answer of a command is the first line of its output; this many bytes of that line count.
 const LONGEST_ANSWER: usize = 64;
 /// How many bytes are read at most from the output of a command that has ended. No pipe holds more.
 const LONGEST_REST: usize = 1 << 20;
@@ -51,14 +51,14 @@ fn over_before(errand: &Errand) -> Option<Outcome> {
     let mut orders = [PollFd::new(&stdin, PollFlags::IN)];
     let at_once = Timespec { tv_sec: 0, tv_nsec: 0 };
     let _ = poll(&mut orders, Some(&at_once));
-    // A closed pipe means that the node stopped the action or is gone, even if lines are left in the pipe.
+    // A closed pipe means that the node stopped the action or is gone, even if unread lines are still in the pipe.
     if orders[0].revents().contains(PollFlags::HUP) {
         return Some(Outcome::Stopped);
     }
     why_over(errand.limit, errand.lease).map(Why::outcome)
 }
 
-/// Which of the two times is over; `None` if neither is.
+/// Which of the two times has passed, the action's limit or the lease; `None` if neither has.
 fn why_over(limit: u64, lease: Option<u64>) -> Option<Why> {
     let now = clock::now();
     if limit <= now { Some(Why::Late) } else { lease.filter(|lease| *lease <= now).map(|_| Why::LeaseEnded) }
@@ -91,7 +91,7 @@ impl Why {
 }
 
 struct Watch {
-    /// The guard's task. Renewals move the lease in it.
+    /// What the node has told this guard to do. Renewals of the lease change it.
     errand: Errand,
     orders: Lines,
     pid: Pid,
@@ -99,7 +99,7 @@ struct Watch {
     ended: OwnedFd,
     /// A file descriptor that is readable once the deadline has passed, however long the machine was suspended.
     timer: OwnedFd,
-    /// The deadline to which the timer is set, and of which the command was told.
+    /// The deadline to which the timer is set, and which the command knows.
     armed: Option<u64>,
     told: Option<u64>,
     input: Option<ChildStdin>,
@@ -168,7 +168,7 @@ impl Watch {
         loop {
             // If poll fails, the guard cannot watch anything any more, so it stops the command.
             let Ok([orders, ended, timer, output]) = self.poll() else { return Why::Stopped };
-            // Orders come first, because a renewal that has arrived counts.
+            // Lines of the node are read first, because a renewal that has arrived counts.
             if orders && !self.hear() {
                 return Why::Stopped;
             }
@@ -192,8 +192,8 @@ impl Watch {
         }
     }
 
-    /// Sleeps until something happens. Returns four flags: there are orders, the command has ended, the timer has expired,
-    /// the command has written something.
+    /// Sleeps until something happens. Returns four flags: the node has written a line, the command has ended, the
+    /// timer has expired, the command has written something.
     fn poll(&self) -> io::Result<[bool; 4]> {
         let stdin = io::stdin();
         let mut fds = vec![
@@ -223,7 +223,7 @@ impl Watch {
             Err(_) => return false,
         }
         while let Some(line) = self.orders.next() {
-            // A task that acted alone has a lease again once its partner has come back.
+            // `max` puts a lease above `None`: a task that acted alone has a lease again once its partner has come back.
             self.errand.lease = read_lease(&line).max(self.errand.lease);
         }
         true
@@ -263,7 +263,7 @@ impl Watch {
 }
 
 impl Answer {
-    /// Reads once from the output. Returns how many bytes there were.
+    /// Reads once from the command's output. Returns how many bytes it read.
     fn read(&mut self) -> usize {
         let mut bytes = [0; PIECE];
         match self.pipe.read(&mut bytes) {

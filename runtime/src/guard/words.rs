@@ -6,21 +6,21 @@ use std::path::PathBuf;
 /// What a guard must do. Instants are microseconds of `CLOCK_BOOTTIME`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Errand {
-    /// When the time of the action is over; `u64::MAX` never comes.
+    /// The instant at which the time of the action is over; `u64::MAX` never comes.
     pub limit: u64,
-    /// When the lease of the task ends unless it is renewed.
+    /// The instant at which the lease of the task ends unless it is renewed.
     pub lease: Option<u64>,
-    /// The epoch of that lease.
+    /// The epoch of the task's lease.
     pub epoch: Option<u8>,
     /// The cores that the command may use, as `0,1,5`; `None` for those of the node.
     pub cores: Option<String>,
     /// Whether the command prints a real instead of a whole number.
     pub real: bool,
-    /// The pipe in which the guard also reports the end of the command, and the key of the command there.
+    /// The named pipe in which the guard also reports the end of the command, and the key of the command in these reports.
     pub notices: Option<(PathBuf, String)>,
-    /// The process that started this one. The guard passes its own id to the process that becomes the command.
+    /// The process that started this one. The guard passes its own process id to the process that becomes the command.
     pub parent: Option<i32>,
-    /// The program that runs, and its arguments.
+    /// The program of the command, and its arguments.
     pub command: Vec<OsString>,
 }
 
@@ -30,7 +30,7 @@ impl Errand {
         self.lease.map_or(self.limit, |lease| lease.min(self.limit))
     }
 
-    /// The errand as arguments of the guard program.
+    /// What the guard must do, as arguments of the guard program.
     pub fn words(&self) -> Vec<OsString> {
         let mut words = vec!["--limit".into(), self.limit.to_string().into()];
         let mut add = |name: &str, value: Option<OsString>| {
@@ -50,7 +50,7 @@ impl Errand {
         words
     }
 
-    /// The errand that the arguments of the program describe; `None` if they are invalid.
+    /// Reads from the arguments of the guard program what the guard must do. `None` if the arguments are invalid.
     pub fn read(words: &[OsString]) -> Option<Self> {
         let split = words.iter().position(|word| word == "--")?;
         let (options, command) = (&words[..split], &words[split + 1..]);
@@ -75,7 +75,7 @@ impl Errand {
     }
 }
 
-/// The value of `--gives` for a command that prints a real.
+/// The value of the argument `--gives` for a command that prints a real.
 const REAL: &str = "real";
 
 fn number<T: std::str::FromStr>(word: &OsStr) -> Option<T> {
@@ -100,7 +100,7 @@ pub enum Outcome {
 }
 
 impl Outcome {
-    /// The outcome as a line.
+    /// The outcome as a line that the guard writes.
     pub fn line(self) -> String {
         match self {
             Self::Done(value) => format!("done {value}\n"),
@@ -112,7 +112,7 @@ impl Outcome {
         }
     }
 
-    /// The outcome in a line; `None` for any other line.
+    /// Reads the outcome in a line of the guard; `None` for any other line.
     pub fn read(line: &str) -> Option<Self> {
         let (word, value) = line.split_once(' ').unwrap_or((line, ""));
         Some(match word {
@@ -132,22 +132,22 @@ pub fn began(pid: i32) -> String {
     format!("began {pid}\n")
 }
 
-/// The process group in such a line.
+/// Reads the process group in a line that [`began`] wrote.
 pub fn read_began(line: &str) -> Option<i32> {
     line.strip_prefix("began ")?.parse().ok()
 }
 
-/// The line that renews the lease.
+/// The line with which the node renews the lease.
 pub fn lease(until: u64) -> String {
     format!("lease {until}\n")
 }
 
-/// The end of the lease in such a line.
+/// Reads the end of the lease in a line that [`lease`] wrote.
 pub fn read_lease(line: &str) -> Option<u64> {
     line.strip_prefix("lease ")?.parse().ok()
 }
 
-/// Assembles whole lines from the pieces that a pipe gives. A line without its end, of a process that was killed, is dropped.
+/// Assembles whole lines from the pieces that a pipe gives. An unfinished line, of a process that was killed, is dropped.
 #[derive(Debug, Default)]
 pub struct Lines(Vec<u8>);
 
@@ -163,7 +163,7 @@ impl Lines {
         }
     }
 
-    /// The next line, without its end.
+    /// The next whole line, without its line break.
     pub fn next(&mut self) -> Option<String> {
         let end = self.0.iter().position(|&byte| byte == b'\n')?;
         let line: Vec<u8> = self.0.drain(..=end).take(end).collect();

@@ -1,7 +1,7 @@
-//! A link with injected faults, around any other link: seeded loss, and neighbours cut off.
+//! A link with injected faults, around any other link: it loses datagrams at random, from a seed, and cuts neighbours off.
 //!
-//! Faults act on the sending side, so each end of a link has its own. Packets that they drop are counted apart from real
-//! losses. A lost send loses its whole datagram, as on a network.
+//! Faults act on the sending side, so each end of a link has faults of its own. Packets that the faults drop are
+//! counted apart from real losses. A lost send loses its whole datagram, as on a network.
 
 use super::{Leading, Link, LinkBusy, PollEnd, Sink};
 use crate::lock::lock;
@@ -39,7 +39,7 @@ pub struct Injected {
 }
 
 impl<L> FaultyLink<L> {
-    /// Wraps the link `inner`, without any fault yet. With the same seed the same sends are lost.
+    /// Wraps the link `inner`, without any fault yet. Two links with the same seed lose the same sends.
     #[must_use]
     pub fn new(inner: L, seed: u64) -> Self {
         let random = fastrand::Rng::with_seed(seed);
@@ -52,17 +52,17 @@ impl<L> FaultyLink<L> {
         }
     }
 
-    /// The link without its faults.
+    /// The wrapped link, which has no injected faults.
     pub const fn inner(&self) -> &L {
         &self.inner
     }
 
-    /// From now on the link loses each datagram with this probability (0 to 1).
+    /// Sets the probability (0 to 1) with which the link loses each datagram from now on.
     pub fn set_loss(&self, probability: f64) {
         self.faults().loss = probability;
     }
 
-    /// Cuts a neighbour off, so that the link sends nothing to it, or ends the cut.
+    /// Cuts a neighbour off, so that the link sends nothing to it; with `cut` false, ends the cut.
     pub fn set_cut(&self, neighbour: NodeId, cut: bool) {
         let mut faults = self.faults();
         faults.cut.retain(|&node| node != neighbour);

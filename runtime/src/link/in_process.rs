@@ -1,7 +1,7 @@
 //! The link between nodes of one process: packets are handed over as values, never serialised.
 //!
-//! Several nodes in one process serve tests and demonstrations. A [`Network`] can lose, repeat and delay packets, drawn from a
-//! seed.
+//! Several nodes in one process serve tests and demonstrations. A [`Network`] can lose, repeat and delay packets at
+//! random, from a seed.
 
 use super::{Link, LinkBusy, LinkDiscard, PollEnd, Sink};
 use crate::clock;
@@ -15,13 +15,13 @@ use std::time::{Duration, Instant};
 
 /// How many packets can wait for one node before its neighbours find it busy.
 const CAPACITY: usize = 1024;
-/// How many packets are taken out under one lock.
+/// How many packets are taken from the network under one lock.
 const AT_ONCE: usize = MAX_PACKETS;
 
 /// The faults that the network injects.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Faults {
-    /// The seed of the draws.
+    /// The seed of the random draws.
     pub seed: u64,
     /// The share of packets that get lost, 0 to 1.
     pub loss: f64,
@@ -47,18 +47,18 @@ struct End {
 }
 
 struct State {
-    /// The packets in flight to this node, the next to arrive first.
+    /// The packets in flight to this node. The packet that arrives first is at the top.
     flights: BinaryHeap<Reverse<Flight>>,
     departures: u64,
     /// The incarnation of the node at this end; `None` while there is no node.
     start: Option<Start>,
     /// For each node, its incarnation of which this node heard last.
     heard: Vec<Option<Incarnation>>,
-    /// Reusable storage for packets that have arrived. The polling thread takes it while it works.
+    /// Reusable storage for packets that have arrived. The polling thread takes this storage while it works.
     landed: Vec<Landed>,
     /// Whether a neighbour found this node busy.
     starved: bool,
-    /// Whether this node was busy and takes packets again, so that its neighbours must be informed.
+    /// Whether this node was busy and takes packets again, so that its neighbours must be told.
     ready: bool,
     woken: bool,
     draws: fastrand::Rng,
@@ -136,7 +136,7 @@ impl Network {
         Arc::new(Self { faults, ends: (0..nodes).map(end).collect(), table })
     }
 
-    /// The link of `node` in this incarnation. Packets in flight to an earlier incarnation of the node are lost.
+    /// Returns the link of `node` in this incarnation. Packets in flight to an earlier incarnation of the node are lost.
     ///
     /// # Panics
     /// If the cell has no such node.
@@ -163,7 +163,7 @@ impl End {
 }
 
 impl State {
-    /// Puts a packet in flight, unless it gets lost. Its remaining time was true at `left`.
+    /// Puts a packet in flight, unless the packet gets lost. Its remaining time was true at the instant `left`.
     fn depart(&mut self, faults: &Faults, left: Instant, from: NodeId, start: Start, packet: Packet) {
         if self.draws.f64() < faults.loss {
             return;
@@ -241,7 +241,7 @@ impl Link for InProcess {
         let end = self.end(next).ok_or(LinkBusy)?;
         let mut state = end.lock();
         if state.start.is_none() {
-            // No node is at the other end, as when a datagram goes to a closed port.
+            // No node is at the other end. The packets are lost, as a datagram to a closed port is.
             return Ok(packets.len());
         }
         let free = CAPACITY.saturating_sub(state.flights.len());

@@ -1,4 +1,4 @@
-//! The primitive layer (§5.2.4): how packets leave a node and come in.
+//! The primitive layer (§5.2.4): how packets leave a node and arrive at a node.
 //!
 //! A link moves packets between neighbouring nodes and knows nothing of tasks. It may lose, repeat, delay and reorder them.
 //! With the packets that it hands over, it says how much of their remaining time the hop has cost.
@@ -14,21 +14,21 @@ use imrs_wire::envelope::{EnvelopeError, MAX_PACKETS};
 use std::fmt;
 use std::time::{Duration, Instant};
 
-/// Takes what a link receives: implemented by the node.
+/// The receiver of a link's packets: the node implements it.
 ///
-/// The sink deals with it at once, on the same thread, and may call [`Link::send_at`] before the call returns. While a link calls
-/// its sink, it holds no lock that a sender or a waiting task would wait for.
+/// The sink handles a packet at once, on the same thread, and may call [`Link::send_at`] before the call returns. While
+/// a link calls its sink, the link holds no lock that a sender or a waiting task would wait for.
 pub trait Sink: Send + Sync {
-    /// Takes packets that came together, decoded and checked, in the order in which they were sent. `charge` is the time
+    /// Takes packets that arrived together, decoded and checked, in the order in which they were sent. `charge` is the time
     /// that the link and the kernel's queue had cost each packet at the instant `at`, in microseconds. The sink also charges
-    /// the time since `at`, so that a node that was stopped in between cannot make an old packet look young.
+    /// the time since `at`, so that a node that was stopped since then cannot make an old packet look young.
     fn packets(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Instant);
 
-    /// Reports the first contact with a neighbour, or its new session. `restarted` says whether an earlier incarnation of
-    /// the neighbour may have taken requests, as the neighbour itself says or as this node knows.
+    /// Reports the first contact with a neighbour, or its new session. `restarted` says whether an earlier incarnation
+    /// of the neighbour may have taken requests, according to the neighbour itself or to this node's memory.
     fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool);
 
-    /// Reports that something came in that is not for this node. Drops are counted by reason.
+    /// Reports that the link dropped a datagram or packet that arrived. Drops are counted by reason.
     fn discarded(&self, reason: LinkDiscard);
 }
 
@@ -78,23 +78,24 @@ pub trait Sink: Send + Sync {
 /// second.stop(Duration::from_secs(10));
 /// ```
 pub trait Link: Send + Sync {
-    /// Whether the link would take a send to this neighbour now.
+    /// Whether the link would take packets for this neighbour now.
     fn ready(&self, next: NodeId) -> bool;
 
     /// How many packets the link takes in one call, at most: by default as many as a datagram holds. A node gathers up
-    /// to this many for a neighbour. Once they are handed over, no more urgent packet can overtake them. A link that
-    /// wraps another link returns the number of the inner link.
+    /// to this many packets for a neighbour. Once the link has them, no more urgent packet can overtake them. A link
+    /// that wraps another link returns the number of the inner link.
     fn at_once(&self) -> usize {
         MAX_PACKETS
     }
 
-    /// Sends packets to a neighbour, the most urgent of each datagram first. Their remaining times are true at the instant `at`.
-    /// The link charges the time from `at` to the departure, so that a node that was stopped in between cannot make old packets
-    /// look young. Returns how many packets were taken: at least one, and from the front. A packet that is taken may still be
-    /// lost.
+    /// Sends packets to a neighbour, the most urgent of each datagram first. Their remaining times are true at the
+    /// instant `at`. The link charges the time from `at` to the departure, so that a node that was stopped in that time
+    /// cannot make old packets look young. Returns how many packets the link took: at least one, and from the front. A
+    /// packet that is taken may still be lost.
     ///
     /// # Errors
-    /// [`LinkBusy`] if none was taken. The link ends a [`poll`](Self::poll) with [`PollEnd::Ready`] when it takes packets again.
+    /// [`LinkBusy`] if the link took no packet. The link ends a [`poll`](Self::poll) with [`PollEnd::Ready`] when it
+    /// takes packets again.
     fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy>;
 
     /// As [`send_at`](Self::send_at), for packets whose remaining times are true now.
@@ -105,19 +106,20 @@ pub trait Link: Send + Sync {
         self.send_at(next, packets, Instant::now())
     }
 
-    /// Receives until something came in, `until` passed, or [`wake`](Self::wake) was called. Any waiting thread may call it
-    /// (leader and followers). A wake-up that comes while no thread polls ends the next poll.
+    /// Receives until something arrived, `until` passed, or [`wake`](Self::wake) was called. Any waiting thread may
+    /// call this (leader and followers). A wake-up while no thread polls ends the next poll.
     fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd;
 
     /// Ends a poll: the present one, or else the next one.
     fn wake(&self);
 
-    /// The failures of the link itself that were reported to no sink, counted by name.
+    /// The failures of the link itself that no sink was told, counted by name.
     fn failures(&self) -> Vec<(&'static str, u64)> {
         Vec::new()
     }
 
-    /// Other counters of the link, by name: how much it does, and how certain it is of the times for which datagrams waited.
+    /// Other counters of the link, by name: how much work it does, and how certain it is of the times for which
+    /// datagrams waited.
     fn evidence(&self) -> Vec<(&'static str, u64)> {
         Vec::new()
     }
@@ -128,15 +130,15 @@ pub trait Link: Send + Sync {
     }
 }
 
-/// A link in which a task's thread can wait, one thread at a time. While it waits, datagrams from neighbours are reported to
-/// that thread alone, and to no polling thread. Datagrams from elsewhere are reported to the polling thread.
+/// A link in which a task's thread can wait, one thread at a time. While that thread waits, datagrams from neighbours
+/// are reported to it alone, and to no polling thread. Datagrams from elsewhere are reported to the polling thread.
 pub trait Leading: Send + Sync {
-    /// Waits until something arrives, for at most `left`, or until [`call`](Self::call). It takes nothing in, and may end early
-    /// (spurious wake-up). It reports [`Came::Time`] only if `left` is zero.
+    /// Waits until something arrives, for at most `left`, or until [`call`](Self::call). It receives nothing itself,
+    /// and may end early (spurious wake-up). It returns [`Came::Time`] only if `left` is zero.
     fn wait(&self, left: Option<Duration>) -> Came;
 
-    /// Receives what [`wait`](Self::wait) reported or, without a wait, one datagram if there is one. Returns false if the
-    /// polling thread is receiving, because that thread then receives it, too.
+    /// Receives the datagrams that [`wait`](Self::wait) reported or, without a wait, one datagram if there is one.
+    /// Returns false if the polling thread is receiving, because that thread then receives these datagrams, too.
     fn take_in(&self, sink: &dyn Sink) -> bool;
 
     /// Ends the present wait, or else the next one.
@@ -151,22 +153,22 @@ pub struct LinkBusy;
 /// Why a poll ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PollEnd {
-    /// Something came in and was handed to the sink.
+    /// A datagram or packet arrived, and the sink got it.
     Received,
     /// A neighbour that was busy takes packets again.
     Ready,
     /// The given instant has passed.
     TimedOut,
-    /// [`Link::wake`] was called.
+    /// [`Link::wake`] was called during the poll or before it.
     Woken,
 }
 
-/// Why a link dropped something that came in. Every drop has a reason and is counted.
+/// Why a link dropped a datagram or packet that arrived. Every drop has a reason and is counted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum LinkDiscard {
     /// The datagram is shorter than the least envelope.
     TooShort,
-    /// The datagram does not begin as an envelope does.
+    /// The datagram does not begin as an envelope does, so it is not from this program.
     NotImrs,
     /// The envelope has another version.
     Version,
@@ -178,7 +180,7 @@ pub enum LinkDiscard {
     UnknownNode,
     /// The datagram is damaged.
     Checksum,
-    /// The length is not a whole number of packets, or the packets are too many.
+    /// The length of the content is not a whole number of packets, or the packets are too many.
     Length,
     /// The datagram was seen before, or is so old that this cannot be known.
     Replayed,
@@ -190,8 +192,8 @@ pub enum LinkDiscard {
     OtherStatements,
     /// The datagram is for another node.
     Misdelivered,
-    /// The datagram is from an unknown session of its sender, which is not proven to be later than the known one. The sender
-    /// is asked.
+    /// The datagram is from an unknown session of its sender, which is not proven to be later than the known one. The
+    /// link asks the sender for a proof.
     UnprovenSession,
     /// The sender says that it refuses the datagrams of this node.
     RefusedByPeer,
@@ -202,7 +204,7 @@ pub enum LinkDiscard {
     StaleSession,
     /// The datagram was not encrypted with the keys of its session.
     Forged,
-    /// A packet inside a good envelope is not one of this cell.
+    /// A packet inside a valid envelope is no packet of this cell.
     Packet(PacketError),
 }
 

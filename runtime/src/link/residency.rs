@@ -1,8 +1,9 @@
 //! Computes how long a datagram waited in the kernel (D50).
 //!
-//! The kernel stamps a datagram with the *wall clock* when it arrives, and the wall clock may be set at any time. So a stamp
-//! counts only if the wall clock and the monotonic clock advanced alike. Otherwise the datagram may have come at any moment
-//! since the socket was last seen empty, and that whole time is charged. No datagram can have waited longer.
+//! The kernel stamps a datagram with the *wall clock* when it arrives, and the wall clock may be set at any time. So a
+//! stamp counts only if the wall clock and the monotonic clock advanced by the same time since the socket was last seen
+//! empty. Otherwise the datagram may have arrived at any moment since then, and that whole time is charged. No datagram
+//! can have waited longer.
 
 use crate::clock;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -22,7 +23,7 @@ pub struct Reading {
     pub realtime: Duration,
     /// The monotonic clock, just after the wall clock was read.
     pub after: Instant,
-    /// For how long the machine had been suspended since it started, as far as was known, in microseconds.
+    /// For how long the machine had been suspended since it started, as far as this process knew, in microseconds.
     pub suspended: u64,
 }
 
@@ -52,7 +53,7 @@ impl Reading {
     }
 }
 
-/// How long a datagram waited, and whether its stamp could be believed.
+/// How long a datagram waited in the kernel, and whether its stamp could be trusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Residency {
     /// The time that the datagram waited, never less than the true time.
@@ -64,16 +65,16 @@ pub struct Residency {
 /// The evidence on which a [`Residency`] rests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Evidence {
-    /// The kernel's stamp shows the time.
+    /// The kernel's stamp shows how long the datagram waited.
     Stamp,
     /// The kernel gave no stamp, so the time since the socket was last seen empty counts.
     NoStamp,
-    /// The wall clock was set meanwhile, so the time since the socket was last seen empty counts.
+    /// The wall clock was set since the socket was last seen empty, so the time since then counts.
     ClockSet,
 }
 
-/// How long a datagram waited in the kernel, which stamped it at `stamp` (wall clock, since 1970). The datagram was received
-/// before `now`, and came in after `empty`, when the socket was seen empty.
+/// How long a datagram waited in the kernel, which stamped it at `stamp` (wall clock, since 1970). The thread received
+/// the datagram before `now`. The datagram arrived after `empty`, when the socket was seen empty.
 #[must_use]
 pub fn residency(now: &Reading, stamp: Option<Duration>, empty: &Reading) -> Residency {
     let longest = now.after.saturating_duration_since(empty.before);
@@ -81,7 +82,7 @@ pub fn residency(now: &Reading, stamp: Option<Duration>, empty: &Reading) -> Res
         return Residency { waited: longest, by: Evidence::NoStamp };
     };
     let waited = now.realtime.checked_sub(stamp).filter(|_| !clock_was_set(now, empty));
-    // The widths of the readings are added, because a small step of the wall clock may have hidden within them.
+    // The widths of the two readings are added, because they may hide a small step of the wall clock.
     let waited = waited.map(|waited| (waited + now.width() + empty.width()).min(longest));
     match waited {
         Some(waited) => Residency { waited, by: Evidence::Stamp },
@@ -106,7 +107,8 @@ mod tests {
 
     const EPOCH: u64 = 1_700_000_000_000_000;
 
-    /// A reading `mono` microseconds after `origin`, with the wall clock at `wall` microseconds past [`EPOCH`].
+    /// A reading of both clocks, `mono` microseconds after `origin`, with the wall clock at `wall` microseconds past
+    /// [`EPOCH`].
     fn reading(origin: Instant, mono: u64, wall: u64, width: u64) -> Reading {
         let at = |us| origin + Duration::from_micros(us);
         let realtime = Duration::from_micros(EPOCH + wall);
@@ -173,8 +175,8 @@ mod tests {
     }
 
     proptest! {
-        /// One step of the wall clock at any moment, of any size: the charge is never less than the truth (except for tolerated
-        /// rounding), and never more than the time since the socket was seen empty.
+        /// The wall clock makes one step at any moment, of any size. The charge is never less than the true time
+        /// (except for tolerated rounding), and never more than the time since the socket was seen empty.
         #[test]
         fn never_too_little(
             arrival in 1..1_000_000_u64, wait in 0..1_000_000_u64, step_at in 0..2_000_000_u64,

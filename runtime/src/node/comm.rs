@@ -20,17 +20,18 @@ pub(crate) struct Comm {
     table: NodeTable,
     pub home: Home,
     homes: Arc<Homes>,
-    /// The answer that the task's future has not taken.
+    /// The answer that the task's future has not taken yet.
     pub answer: Option<Completion>,
-    /// Whether it is among the changed members of its domain.
+    /// Whether this task is among the changed members of its domain.
     pub changed: bool,
     alarm: Arc<Alarm>,
     cover: Cover,
-    /// Whether the task is one of a couple: then an input takes effect at the time at which it is taken in, if that is later.
+    /// Whether the task is one of a couple: then an input takes effect when the task takes it, if that is later than
+    /// its stamp.
     coupled: bool,
-    /// When the machine's own clock began, on the node's clock.
+    /// The instant on the node's clock at which the machine's own clock began.
     started: Micros,
-    /// Where the machine's steps are recorded, if they are.
+    /// The log of the machine's steps, if they are recorded.
     log: Option<Box<dyn Log>>,
     /// Whether the log wants the machine's state before the next step.
     wants_keyframe: bool,
@@ -71,7 +72,7 @@ impl Comm {
         }
     }
 
-    /// Gives the task its script, before anything happens.
+    /// Gives the task its script, before the task takes any input.
     pub fn runner(&mut self, runner: ScriptRunner) {
         self.runner = Some(Box::new(runner));
     }
@@ -95,12 +96,12 @@ impl Comm {
         })
     }
 
-    /// The time from the machine's present to `now`; zero if `now` is earlier.
+    /// The time from the machine's present to `now`; zero if `now` is not later.
     pub const fn elapsed(&self, now: Micros) -> Ticks {
         Ticks(now.saturating_sub(self.now()))
     }
 
-    /// Whether nothing becomes due until `now`.
+    /// Whether nothing of this task becomes due until `now`.
     pub fn is_idle_until(&mut self, now: Micros) -> bool {
         now < self.due()
     }
@@ -164,19 +165,20 @@ impl Comm {
         self.log.is_some()
     }
 
-    /// Records a step of the task's script, and the digest of what the script did before.
+    /// Records a step of the task's script, and the digest of the script's earlier outputs.
     pub fn record(&mut self, step: ScriptStep, done: OutputDigest) {
         if let Some(log) = &mut self.log {
             log.script(step, done);
         }
     }
 
-    /// The machine's state with up to `queue_limit` waiting messages of each port, and the time for which it is true.
+    /// The machine's state with up to `queue_limit` waiting messages of each port, and the instant for which this state
+    /// is true.
     pub fn view(&self, queue_limit: impl Fn(PortId) -> usize) -> (TaskView, Micros) {
         (self.machine.view_of(&self.table, queue_limit), self.now())
     }
 
-    /// What waits at a port, and the time for which it is true.
+    /// The messages that wait at a port, and the instant for which this is true.
     pub fn queue(&self, port: PortId, limit: usize) -> Option<(QueueView, Micros)> {
         Some((self.machine.queue_view(port, limit)?, self.now()))
     }
@@ -189,7 +191,8 @@ impl Comm {
         &mut self.ring
     }
 
-    /// Records a message that expired between the machine and its task: the last place where it can (§5.1.1).
+    /// Records a message that expired after the machine gave it out and before its task had it: the last place where a
+    /// message can expire (§5.1.1).
     pub fn expired_in_hand(&mut self, message: &Delivery) {
         self.discards[Reason::Expired as usize] += 1;
         self.ring.push(
@@ -209,14 +212,14 @@ impl Comm {
         self.started.saturating_add(self.machine.keep_deadline().0)
     }
 
-    /// Says when the machine next expires, while its task's thread does `rest`.
+    /// Returns when the machine next expires, while its task's thread does `rest`.
     pub fn settle(&mut self, rest: Rest) -> Micros {
         let due = self.due();
         self.cover.settle(&self.alarm, rest, due);
         due
     }
 
-    /// As [`settle`](Self::settle), where no thread of the task sleeps until its expiry.
+    /// As [`settle`](Self::settle), for a task of which no thread sleeps until its expiry.
     pub fn settle_shared(&mut self) {
         let due = self.due();
         self.cover.keep(&self.alarm, self.now(), due);
@@ -228,7 +231,8 @@ impl Comm {
         self.log.is_none() && !self.coupled
     }
 
-    /// Lets time pass up to `now` at a task that is not recorded. False, and nothing has changed, if that is more than time alone.
+    /// Lets time pass up to `now` at a task that is not recorded. Returns false, and changes nothing, if more than time
+    /// alone would happen.
     #[inline]
     pub fn catch_up_with(&mut self, now: Micros) -> bool {
         if self.now() == now {
@@ -262,13 +266,13 @@ impl Comm {
 /// An answer of the machine to its task.
 #[derive(Clone, Copy, Debug)]
 pub struct Completion {
-    /// The answer.
+    /// The answer itself.
     pub signal: Signal,
-    /// When the machine gave it.
+    /// The instant at which the machine gave the answer.
     pub at: Micros,
 }
 
-/// The outbox of one input.
+/// The outbox that the machine fills while it takes one input.
 struct Out<'a> {
     at: Micros,
     task: TaskId,

@@ -1,20 +1,22 @@
 //! A domain: the communication tasks that one lock protects, because one thread at a time works for all of them (D186).
 //!
-//! All futures of a node are one domain: one thread runs them. All scripts of a node are another one; they have no thread, so the
-//! thread that brings input to one of them works for all. Every task with a thread is a domain of its own.
+//! All futures of a node are one domain: one thread runs them. All scripts of a node are another domain; scripts have
+//! no thread, so the thread that brings input to one script works for all scripts. Every task with a thread is a domain
+//! of its own.
 //!
-//! What a member sends to another member stays inside: the packet goes to the queue `inside` of the working thread's [`Effects`],
-//! without a lock, a wake-up or an inbox, and often the two members take it in one fused step (D176).
+//! A packet that a member of a domain sends to another member stays inside the domain: it goes to the queue `inside` of
+//! the working thread's [`Effects`], without a lock, a wake-up or an inbox. Often the two members take the packet in
+//! one fused step (D176).
 //!
-//! A *turn* is one hold of the lock. The clock is read once a turn, and a turn takes at most [`TURN`] inputs from `inside`; then the
-//! lock is released, all other effects are carried out, and the same thread begins the next turn. Actions of scripts begin
-//! between turns, without the lock. A future is polled without the lock, too; each of its calls is a turn, which it stamps with
-//! its own reading of the clock (D187). A script that is answered at once goes on within the turn, as far as the limit of its steps
-//! allows. Other threads wait for at most a turn:
+//! A *turn* is the time from taking the lock to releasing it. The clock is read once in a turn, and a turn takes at most
+//! [`TURN`] inputs from `inside`. Then the lock is released, all other effects are carried out, and the same thread begins
+//! the next turn. Actions of scripts begin between turns, without the lock. A future is polled without the lock, too; each
+//! call of the future is a turn, with a reading of the clock of its own (D187). A script that is answered at once goes on
+//! within the turn, as far as the limit of its steps allows. Other threads wait for at most one turn:
 //!
-//! - an input for any member is left in the domain's inbox while the lock is held. Its holder takes it before it ends its turn, or
-//!   right after it. A thread that finds the inbox full waits for the lock;
-//! - the Timer thread brings the time of a member that expires, and observers look at members, under the lock.
+//! - an input for any member is left in the domain's inbox while the lock is held. The lock's holder takes this input
+//!   before it ends its turn, or right after. A thread that finds the inbox full waits for the lock;
+//! - the Timer thread advances a member that expires, and observers look at members, under the lock.
 
 mod fused;
 mod gather;
@@ -42,7 +44,7 @@ pub(crate) struct Domain {
     members: Vec<Comm>,
     table: NodeTable,
     homes: Arc<Homes>,
-    /// The members that were changed in this turn, each once.
+    /// The members whose state was changed in this turn, each listed once.
     changed: Vec<usize>,
 }
 
@@ -141,8 +143,8 @@ impl Protected for Domain {
     type Completion = Completion;
     type Effects = Effects;
 
-    /// Only a class-1 message may wait, because its sender hears nothing of it. Its receiver takes it at its next call, and its
-    /// remaining time keeps running meanwhile.
+    /// Only a class-1 message may wait, because no answer goes to its sender. The receiving task takes the message at
+    /// its next call, and the message's remaining time keeps running meanwhile.
     fn may_wait(input: &Addressed) -> bool {
         let Input::Packet(packet) = &input.stamped.input else { return false };
         packet.kind == Kind::Send && packet.class == Class::Status
@@ -197,7 +199,7 @@ pub(crate) struct Asked<'a> {
 /// Answers for futures that the thread of the futures brought itself, and which their calls find without the lock.
 #[derive(Debug, Default)]
 pub(crate) struct Answers {
-    /// By member of the domain.
+    /// The answers by member of the domain.
     of: Vec<Option<Completion>>,
 }
 
@@ -215,12 +217,12 @@ impl Answers {
     /// The answer for a member, if there is one.
     pub fn take(&mut self, member: usize) -> Option<Completion> {
         let of = self.of.get_mut(member)?;
-        // Not `take` alone, which copies what is not there, too.
+        // `take` alone would also copy an absent answer.
         if of.is_some() { of.take() } else { None }
     }
 }
 
-/// A communication task of the domain in a turn, and the others around it.
+/// A communication task of the domain during a turn, and the other members of the domain.
 pub(crate) struct Turn<'a> {
     members: &'a mut [Comm],
     member: usize,
@@ -289,7 +291,7 @@ impl Turn<'_> {
     }
 }
 
-/// To the futures of a node, on their thread.
+/// Signals the futures of a node, on the futures' own thread.
 struct ToFutures<'a> {
     own: usize,
     answers: &'a mut Answers,

@@ -1,4 +1,5 @@
-//! What a machine wants done: collected under its lock, carried out after the release by the thread that held it (D39).
+//! The effects that a state machine asks for: collected under its lock, and carried out after the release by the thread
+//! that held the lock (D39).
 
 mod slot;
 
@@ -10,14 +11,14 @@ use imrs_protocol::{Input, Packet, TaskId, Ticks, TimeId};
 use imrs_wire::envelope::MAX_PACKETS;
 use std::collections::VecDeque;
 
-/// An input and when it happened.
+/// An input, and the instant at which it happened.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Stamped {
     pub at: Micros,
     pub input: Input,
 }
 
-/// An input for a member.
+/// An input for a member of a domain.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Addressed {
     pub member: usize,
@@ -26,29 +27,29 @@ pub(crate) struct Addressed {
 
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Effect {
-    /// The route layer takes the packet, whose remaining time was true at this instant.
+    /// The route layer gets the packet, whose remaining time was true at this instant.
     Transmit(Micros, Packet),
-    /// Another machine of the node has input for a communication task.
+    /// A communication task gets input from another state machine of the node.
     Feed(TaskId, Stamped),
-    /// A communication task has input in its inbox.
+    /// A communication task has input in its inbox and must handle it.
     Wake(TaskId),
     Arm(Micros, TaskId, TimeId, u8, Ticks),
     Disarm(Micros, TaskId, TimeId),
 }
 
-/// What members of a domain have for each other, in the order in which it was sent.
+/// Inputs that members of a domain have for each other, in the order in which they were sent.
 #[derive(Debug, Default)]
 pub(crate) struct Inside {
-    /// For whom, and what. What is told between scripts is most of it, so an entry is small.
+    /// The receiver and the kind of each entry. Most entries are signals between scripts, so an entry is small.
     order: VecDeque<(Home, What)>,
-    /// The inputs, in the same order.
+    /// The inputs of the entries of kind `Input`, in the same order.
     inputs: VecDeque<Stamped>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum What {
     Input,
-    /// A fused step has told the member's script something.
+    /// A fused step has given a signal to the member's script.
     Told,
 }
 
@@ -58,7 +59,7 @@ impl Inside {
         self.inputs.push_back(input);
     }
 
-    /// A fused step has told the member's script something.
+    /// Notes that a fused step has given a signal to the member's script.
     pub fn told(&mut self, to: Home) {
         self.order.push_back((to, What::Told));
     }
@@ -68,12 +69,13 @@ impl Inside {
         !self.inputs.is_empty() && self.order.contains(&(to, What::Input))
     }
 
-    /// For whom the first is.
+    /// The receiver of the first entry.
     pub fn first(&self) -> Option<Home> {
         self.order.front().map(|&(to, _)| to)
     }
 
-    /// Takes out the first, if it is for a member of this domain: `None` for what was told to its script.
+    /// Takes the first entry, if it is for a member of this domain. The input is `None` if the entry is a signal for
+    /// the member's script.
     pub fn take(&mut self, domain: usize) -> Option<(Home, Option<Stamped>)> {
         let (to, what) = self.order.pop_front_if(|(to, _)| to.domain() == domain)?;
         Some((to, if what == What::Input { self.inputs.pop_front() } else { None }))
@@ -84,13 +86,13 @@ impl Inside {
     }
 }
 
-/// The effects that one thread still has to carry out. Each thread keeps its own: once they have grown to size, nothing is
-/// allocated.
+/// The effects that one thread still has to carry out. Each thread keeps its own `Effects`: once they have grown to
+/// their size, nothing is allocated.
 #[derive(Debug)]
 pub(crate) struct Effects {
     pub queue: VecDeque<Effect>,
     pub inside: Inside,
-    /// The places of the futures for which there is an answer.
+    /// The places on the node of the futures for which there is an answer.
     pub called: Vec<usize>,
     /// Whether this is the thread of the node's futures.
     pub of_the_futures: bool,
@@ -100,39 +102,43 @@ pub(crate) struct Effects {
     pub steps: u32,
     /// Packets for links, each with the instant at which its remaining time was true.
     pub leaving: Vec<(Micros, Packet)>,
-    /// Whether the packets in `leaving` wait for more.
+    /// Whether the packets in `leaving` wait for more packets.
     pub holds: bool,
-    /// The task whose thread this is, if the thread waits for what it asks.
+    /// The task whose thread this is, if the thread waits for answers.
     pub waiter: Option<TaskId>,
     /// Packets for scripts of the node, and packets that came over a link together with others.
     pub bundles: Bundles,
-    /// The time of this thread's present turn at a script; `None` between two turns.
+    /// The time of this thread's present turn for scripts; `None` between two turns.
     pub turn: Option<Micros>,
 }
 
-/// The most packets that a task takes in one turn: as many as a datagram brings. A script reads the clock once for them (D112).
+/// The most packets that a task takes in one turn: as many as a datagram brings. A script reads the clock once for all
+/// of them (D112).
 const BUNDLE: usize = MAX_PACKETS;
 
-/// The most packets that a link of this crate hands over in one call: those of all datagrams that left in one call (D129).
+/// The most packets that a link of this crate hands over in one call: the packets of all datagrams that left in one
+/// call (D129).
 const RECEIVED: usize = MAX_PACKETS * SEGMENTS;
 
-/// Packets for tasks of the node, grouped by task, so that each task takes its own under one lock. A receiving thread allocates
-/// their room when it starts, because many may come together for the first time after hours.
+/// Packets for tasks of the node, grouped by task, so that each task takes its packets under one lock. A receiving thread
+/// allocates the room for them when it starts, because many packets may arrive together for the first time after hours.
 #[derive(Debug)]
 pub(crate) struct Bundles {
-    /// The held inputs, each with the position of the next one for the same task; a free entry has that of the next free one.
+    /// The held inputs, each with the position of the next input for the same task. A free entry has the position of
+    /// the next free entry.
     held: Vec<(Addressed, usize)>,
-    /// The first free entry, if that position exists.
+    /// The position of the first free entry; beyond the end if there is none.
     free: usize,
-    /// By position among the node's tasks.
+    /// The bundle of each task, by its position among the node's tasks.
     of: Vec<Bundle>,
-    /// The tasks that have held inputs, in the order in which they got them; each once for every [`BUNDLE`] of packets.
+    /// The tasks that have held inputs, in the order in which they got them; a task is listed once for every [`BUNDLE`]
+    /// of packets.
     full: VecDeque<usize>,
     /// An empty queue, whose memory the next task that holds packets uses again.
     spare: VecDeque<Addressed>,
 }
 
-/// What is held for one task.
+/// The inputs that are held for one task.
 #[derive(Clone, Copy, Debug, Default)]
 struct Bundle {
     first: usize,
@@ -141,7 +147,7 @@ struct Bundle {
 }
 
 impl Bundles {
-    /// Makes room for so many packets for so many tasks; it grows if needed.
+    /// Makes room for this many packets for this many tasks; the room grows if needed.
     fn with_room(packets: usize, tasks: usize) -> Self {
         Self {
             held: Vec::with_capacity(packets),
@@ -184,7 +190,7 @@ impl Bundles {
         self.full.is_empty()
     }
 
-    /// Takes out what one task gets next. The queue must be [given back](Self::give_back) empty.
+    /// Takes the inputs that one task gets next. The caller must [give back](Self::give_back) the queue, empty.
     pub fn pop(&mut self) -> Option<(usize, VecDeque<Addressed>)> {
         let place = self.full.pop_front()?;
         let bundle = &mut self.of[place];
@@ -214,12 +220,12 @@ impl Effects {
         }
     }
 
-    /// For a thread that receives for so many tasks.
+    /// The effects of a thread that receives for this many tasks.
     pub fn of_a_receiver(tasks: usize) -> Self {
         Self { bundles: Bundles::with_room(RECEIVED, tasks), ..Self::new(None) }
     }
 
-    /// For a thread that only looks, and sometimes finds work that others left.
+    /// The effects of a thread that only looks at tasks, and sometimes finds work that other threads left.
     pub fn of_an_onlooker() -> Self {
         Self {
             queue: VecDeque::new(),
@@ -246,7 +252,7 @@ impl Effects {
             && self.leaving.is_empty()
     }
 
-    /// The time of this turn at a script: the time at which the turn began, rounded up.
+    /// The time of this turn for a script: the time at which the turn began, rounded up.
     pub fn time_of_turn(&mut self) -> Micros {
         *self.turn.get_or_insert_with(clock::next)
     }
@@ -261,9 +267,9 @@ mod tests {
         Addressed { member: 0, stamped: Stamped { at, input: Input::Time } }
     }
 
-    /// Puts `counts` inputs in for each place, and takes all out.
+    /// Puts as many inputs for each place as `counts` says, and takes all of them out.
     fn through(bundles: &mut Bundles, counts: &[usize]) -> Vec<(usize, Vec<Micros>)> {
-        // Interleaved, as packets for several tasks come.
+        // The inputs for several tasks are interleaved, as packets for several tasks are.
         let most = counts.iter().copied().max().unwrap_or(0);
         for number in 0..most {
             let places = (0..counts.len()).filter(|&place| number < counts[place]);
@@ -292,7 +298,7 @@ mod tests {
             ];
             assert_eq!(out, expected);
         }
-        // One task more than there is room for.
+        // One task more than the number of tasks for which there is room.
         assert_eq!(through(&mut bundles, &[0, 0, 1]), [(2, vec![0])]);
     }
 

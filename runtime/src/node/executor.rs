@@ -22,12 +22,13 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::task::{Context, Poll, Wake, Waker};
 use std::thread::JoinHandle;
 
-/// After so many waits in a row that the link did not end, the thread stops leading until the link brings something: being called
-/// away from the link costs two more syscalls. One wait is too few, because each delay of a future ends one.
+/// After this many waits in a row that the link did not end, the thread stops leading until the link brings something:
+/// to be woken in the link costs two more syscalls than a wake-up elsewhere. One wait is too few, because each delay of
+/// a future ends a wait.
 const ELSEWHERE: u32 = 8;
 
 impl Node {
-    /// Calls the futures for which there is an answer.
+    /// Wakes the futures for which there is an answer.
     #[inline]
     pub(crate) fn call_futures(&self, effects: &mut Effects) {
         while let Some(place) = effects.called.pop() {
@@ -35,7 +36,7 @@ impl Node {
         }
     }
 
-    /// The thread of the futures works on the communication task of one of them. Also returns whether the node stops.
+    /// The thread of the futures works on the communication task of one future. Also returns whether the node stops.
     pub(crate) fn look_in<R>(
         &self,
         place: usize,
@@ -43,7 +44,7 @@ impl Node {
         effects: &mut Effects,
     ) -> (R, bool) {
         let local = &self.locals.list[place];
-        // A panic here is one of the machine, though a program is being polled.
+        // A panic here is a panic of the runtime, although a program is being polled.
         let work = |domain: &mut Domain, effects: &mut Effects| {
             guarded("a communication task", || work(domain, local.home.member(), effects))
         };
@@ -61,7 +62,7 @@ pub(crate) struct Executor {
     shared: Arc<Shared>,
 }
 
-/// What the executor shares with its thread, which ends when no program is left or the node closes.
+/// The state that the executor shares with its thread. The thread ends when no program is left or the node closes.
 struct Shared {
     /// How many programs still run.
     left: AtomicUsize,
@@ -70,7 +71,7 @@ struct Shared {
 }
 
 impl Executor {
-    /// Starts the thread. `ended` is told how each program ended.
+    /// Starts the thread. The thread calls `ended` with how each program ended.
     pub fn start(
         node: &Arc<Node>,
         bodies: Vec<(usize, AsyncBody)>,
@@ -90,7 +91,7 @@ impl Executor {
         Ok(Self { thread, shared })
     }
 
-    /// Tells the thread to end. It drops programs that still run as soon as all of them wait.
+    /// Tells the thread to end. The thread drops the programs that still run as soon as all of them wait.
     pub fn close(&self) {
         self.shared.closing.store(true, Ordering::Release);
         self.shared.ready.park.call();
@@ -99,13 +100,13 @@ impl Executor {
     /// Waits for the thread to end, unless a program may keep it busy.
     pub fn join(self) {
         if self.shared.left.load(Ordering::Acquire) == 0 {
-            // A panic of a program has ended only that program.
+            // A panic of a program has ended only that program, not this thread.
             let _ = self.thread.join();
         }
     }
 }
 
-/// A program on this thread, and the waker that marks it as ready.
+/// A program on the thread of the futures, and the waker that marks the program as ready.
 struct Polled {
     program: Pin<Box<dyn Future<Output = ()>>>,
     waker: Waker,
@@ -141,7 +142,7 @@ fn run(node: &Arc<Node>, bodies: Vec<(usize, AsyncBody)>, ended: &Ended, shared:
     }
 }
 
-/// Polls a program, unless it has ended: a waker may outlive it.
+/// Polls a program, unless the program has ended: a waker may outlive its program.
 fn poll(place: &mut Option<Polled>) {
     if let Some(Polled { program, waker }) = place
         && program.as_mut().poll(&mut Context::from_waker(waker)).is_ready()
@@ -150,7 +151,7 @@ fn poll(place: &mut Option<Polled>) {
     }
 }
 
-/// The waker of a future: it marks the future as ready, and calls the thread.
+/// The waker of a future: it marks the future as ready, and wakes the thread of the futures.
 struct Mark {
     ready: Arc<ReadyFutures>,
     index: usize,
@@ -166,13 +167,13 @@ impl Wake for Mark {
     }
 }
 
-/// How the thread waits while all its futures do.
+/// How the thread of the futures waits while all its futures wait.
 struct Waits<'a> {
     node: &'a Arc<Node>,
     park: &'a Park,
-    /// What the thread receives with. Made when the thread first leads.
+    /// The buffers with which the thread receives. Made when the thread first leads.
     inlet: Option<Inlet>,
-    /// How many waits in a row the link did not end.
+    /// How many waits in a row ended for another reason than the link.
     elsewhere: u32,
 }
 

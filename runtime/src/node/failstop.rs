@@ -1,5 +1,5 @@
-//! A panic in the runtime itself ends the process (D43): its state can no longer be trusted. Peers notice a dead node by their
-//! time_outs, but never a node that goes on half-dead.
+//! A panic in the runtime itself ends the process (D43): the state of the runtime can no longer be trusted. Other nodes
+//! notice a dead node by their time_outs, but never a node that goes on half-dead.
 
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::stdio::stderr;
@@ -26,14 +26,15 @@ impl Drop for FailStop {
     }
 }
 
-/// Writes a line to standard error if that does not block: a reader that stands still must not hold up the abort. It bypasses the
-/// lock of `std::io::stderr`, which another thread may hold while its own write blocks.
+/// Writes a line to standard error if that does not block: a reader that stands still must not hold up the abort. The
+/// write bypasses the lock of `std::io::stderr`, which another thread may hold while its own write blocks.
 fn say(line: &str) {
     let error = stderr();
     let at_once = Timespec { tv_sec: 0, tv_nsec: 0 };
     let mut fds = [PollFd::new(&error, PollFlags::OUT)];
     if poll(&mut fds, Some(&at_once)).is_ok() && fds[0].revents().contains(PollFlags::OUT) {
-        // In one piece, because other threads may be writing their panics. A ready pipe has room for a whole page.
+        // The line is written in one piece, because other threads may be writing their panics. A ready pipe has room
+        // for a whole page.
         let _ = rustix::io::write(error, line.as_bytes());
     }
 }

@@ -1,22 +1,22 @@
-//! Where the communication tasks of a node are: in which domain, and at which place there (D186).
+//! Where the communication tasks of a node are: in which domain, and at which position there (D186).
 
 use imrs_protocol::TaskId;
 
 /// Which thread runs the program of a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum RunBy {
-    /// A thread of the task's own.
+    /// A thread of the task's own runs the program.
     ItsThread,
-    /// The program is a script: the thread that brings it input.
+    /// The program is a script. The thread that brings input for it runs it.
     AnyThread,
-    /// The program is a future.
+    /// The program is a future. The thread of the futures runs it.
     TheThreadOfFutures,
 }
 
-/// Where a communication task of the node is.
+/// The position of a communication task of the node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Home {
-    // A cell has at most 65,536 tasks, and a home goes along with each packet.
+    // These numbers are short because a home goes along with each packet. A cell has at most 65,536 tasks.
     place: u16,
     domain: u16,
     member: u16,
@@ -25,33 +25,34 @@ pub(crate) struct Home {
 }
 
 impl Home {
-    /// Its position among the node's tasks.
+    /// The task's position among the node's tasks.
     pub const fn place(self) -> usize {
         self.place as usize
     }
 
-    /// Its domain: the place of that domain's first member.
+    /// The number of the task's domain: the place of that domain's first member.
     pub const fn domain(self) -> usize {
         self.domain as usize
     }
 
-    /// Its position among the members of the domain.
+    /// The task's position among the members of its domain.
     pub const fn member(self) -> usize {
         self.member as usize
     }
 }
 
-/// Where the communication tasks of a node are.
+/// The homes of all communication tasks of a node.
 #[derive(Debug)]
 pub(crate) struct Homes {
-    /// For each task of the cell.
+    /// The home of each task of the cell; `None` for tasks of other nodes.
     of_task: Box<[Option<Home>]>,
-    /// For each task of the node, ascending by task.
+    /// The home of each task of the node, ascending by task.
     of_place: Box<[Home]>,
 }
 
 impl Homes {
-    /// The homes of `local`, the tasks of a node, ascending; each with what runs it. The cell has `tasks` tasks.
+    /// Makes the homes of `local`, the tasks of a node in ascending order, each with the thread that runs it. The cell
+    /// has `tasks` tasks.
     pub fn new(local: impl Iterator<Item = (TaskId, RunBy)>, tasks: usize) -> Self {
         let mut of_task = vec![None; tasks];
         let mut of_place = Vec::new();

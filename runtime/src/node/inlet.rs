@@ -1,4 +1,4 @@
-//! Where packets from other nodes come in.
+//! Where packets from other nodes enter this node.
 
 use super::Node;
 use crate::clock;
@@ -9,7 +9,7 @@ use imrs_protocol::{Incarnation, NodeId, Packet, Ticks};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// What one thread receives with: the node and the thread's effects.
+/// The state with which one thread receives: the node, and the thread's effects.
 pub(crate) struct Inlet {
     node: Arc<Node>,
     effects: Mutex<Effects>,
@@ -21,7 +21,7 @@ impl Inlet {
         Self { node, effects: Mutex::new(effects) }
     }
 
-    /// A neighbour takes packets again: sends those that waited for it.
+    /// A neighbour takes packets again: sends the packets that waited for it.
     pub fn ready(&self) {
         self.node.dispatch.ready();
         let mut effects = lock(&self.effects);
@@ -32,9 +32,9 @@ impl Inlet {
 
 impl Sink for Inlet {
     fn packets(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Instant) {
-        // The clock is read first, so that packets never count as too young. If this thread is preempted between the two readings,
-        // that time is charged twice, and the packets count as too old. If it is preempted later, that time is charged once: the
-        // machines are told `now`, and not the instant at which they take the packets.
+        // The clock is read first, so that packets never count as too young. If this thread is preempted between the
+        // two readings, that time is charged twice, and the packets count as too old. If it is preempted later, that
+        // time is charged once, because the packets get the stamp `now`, not the instant at which the tasks take them.
         let now = clock::now();
         let charge = charge + Ticks(clock::micros(at.elapsed()));
         if let Some(peer) = self.node.peer(from) {
@@ -47,8 +47,9 @@ impl Sink for Inlet {
     fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool) {
         let Some(peer) = self.node.peer(node) else { return };
         let before = lock(&peer.incarnation).replace(incarnation);
-        // Requests to an earlier incarnation may have run or not; no answer will tell. A request may also have gone there before
-        // anything was heard from it. A node that lost its state may start again with an earlier incarnation's number.
+        // Requests to an earlier incarnation of the neighbour may or may not have run; no answer will tell. A request
+        // may even have gone to it before this node received anything from it. A neighbour that lost its state may
+        // start again with the number of an earlier incarnation.
         if before.is_some() || restarted {
             self.node.restarted(node, clock::now(), &mut lock(&self.effects));
         }

@@ -4,7 +4,7 @@ use crate::link::{Leading, Link};
 use crate::sync::handoff::ThreadWaker;
 use std::sync::Arc;
 
-/// Wakes a thread of the node that waits in its link.
+/// Makes the waker for a thread of the node that waits in the node's link.
 pub(crate) fn link_waker(link: Option<&Arc<dyn Link>>) -> Option<Arc<dyn ThreadWaker>> {
     link.map(|link| Arc::new(LinkWaker(Arc::clone(link))) as Arc<dyn ThreadWaker>)
 }

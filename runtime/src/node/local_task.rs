@@ -18,17 +18,17 @@ use std::task::Waker;
 /// The value of [`LocalTask::begins`] once the script has begun.
 pub(crate) const BEGUN: u64 = u64::MAX;
 
-/// A task of the node.
+/// A task of the node, with its access to its communication task.
 pub(crate) struct LocalTask {
     pub task: TaskId,
     pub home: Home,
-    /// The hand-off of its domain.
+    /// The hand-off of the task's domain.
     pub handoff: Arc<Handoff<Domain>>,
     waker: TaskWaker,
     liveness: AtomicU8,
-    /// How the thread of the futures marks this one. Set when that thread starts, if the task's program is a future.
+    /// How the thread of the futures marks this future. Set when that thread starts, if the task's program is a future.
     pub marking: OnceLock<Marking>,
-    /// Whether what `waker` calls is just that mark. Only the thread of the futures uses it.
+    /// Whether the registered `waker` only sets the mark of `marking`. Only the thread of the futures uses this.
     pub is_plain: AtomicBool,
     /// When the task's script may begin, in microseconds of the node's clock; [`BEGUN`] once it has begun.
     pub begins: AtomicU64,
@@ -61,14 +61,15 @@ impl LocalTask {
         self.home.run_by == RunBy::AnyThread
     }
 
-    /// From here on, `waker` is called when there is an answer for the task's future. Called on the thread of the futures.
+    /// From here on, `waker` is called when there is an answer for the task's future. The thread of the futures calls
+    /// this function.
     pub fn listen(&self, waker: &Waker) {
         let is_plain = self.marking.get().is_some_and(|marking| marking.waker.will_wake(waker));
         self.is_plain.store(is_plain, Ordering::Relaxed);
         self.waker.listen(waker);
     }
 
-    /// There is an answer for the task's future.
+    /// Calls the waker of the task's future, because there is an answer for it.
     pub fn call(&self, effects: &Effects) {
         match self.marking.get() {
             Some(marking) if effects.of_the_futures && self.is_plain.load(Ordering::Relaxed) => {
@@ -87,12 +88,12 @@ impl LocalTask {
         self.handoff.deliver(self.addressed(stamped), effects);
     }
 
-    /// As [`deliver`](Self::deliver), but on return the input has been taken.
+    /// As [`deliver`](Self::deliver), but the task has taken the input on return.
     pub fn deliver_now(&self, stamped: Stamped, effects: &mut Effects) {
         self.handoff.deliver_now(self.addressed(stamped), effects);
     }
 
-    /// Holds an input back, to deliver it together with others.
+    /// Holds an input back in `effects`, to deliver it together with others.
     pub fn hold(&self, stamped: Stamped, effects: &mut Effects) {
         effects.bundles.push(self.home.place(), self.addressed(stamped));
     }
@@ -114,7 +115,7 @@ impl LocalTask {
         self.handoff.visit(visit, effects);
     }
 
-    /// Looks at the communication task after draining the inbox: see [`Handoff::with`].
+    /// Calls `look` with the communication task after draining the inbox: see [`Handoff::with`].
     pub fn look<R>(&self, look: impl FnOnce(&mut Comm) -> R, effects: &mut Effects) -> R {
         self.handoff.with(|domain| look(domain.member(self.home.member())), effects)
     }
@@ -132,8 +133,8 @@ impl LocalTask {
     }
 }
 
-/// The tasks of a node, given by their communication tasks, behind one hand-off for each domain. `link` wakes a thread that waits in
-/// the link.
+/// Makes the tasks of a node from their communication tasks, with one hand-off for each domain. `link` wakes a thread
+/// that waits in the link.
 pub(crate) fn local_tasks(
     comms: impl Iterator<Item = Comm>,
     table: &NodeTable,
@@ -156,18 +157,18 @@ pub(crate) fn local_tasks(
     tasks.into_iter().map(local).collect()
 }
 
-/// How the thread of the futures marks one of them as ready.
+/// How the thread of the futures marks one of the futures as ready.
 pub(crate) struct Marking {
     pub ready: Arc<ReadyFutures>,
-    /// Its position there.
+    /// The future's position in `ready`.
     pub index: usize,
-    /// The waker that the thread polls it with.
+    /// The waker with which the thread polls the future.
     pub waker: Waker,
 }
 
 /// The tasks of a node.
 pub(crate) struct LocalTasks {
-    /// Ascending by task.
+    /// The tasks in ascending order.
     pub list: Box<[LocalTask]>,
     homes: Arc<Homes>,
 }
@@ -177,7 +178,7 @@ impl LocalTasks {
         Self { list, homes }
     }
 
-    /// The member that runs `task`, if this node does.
+    /// The local task `task`, if this node runs it.
     pub fn of(&self, task: TaskId) -> Option<&LocalTask> {
         self.list.get(self.place(task)?)
     }

@@ -1,5 +1,5 @@
-//! A running node: the parts of [`imrs_protocol::Node`], each behind its own lock (D38, D39), but the communication tasks of a
-//! [domain](domain) behind one (D186).
+//! A running node: the parts of [`imrs_protocol::Node`], each behind its own lock (D38, D39), except that the
+//! communication tasks of a [domain](domain) share one lock (D186).
 //!
 //! Nothing here runs by itself. The thread that brings input (a task's thread, the receiving thread, the Timer thread) takes one
 //! lock, releases it, and carries out the effects that the machine asked for, one after another. No thread takes two locks at
@@ -46,10 +46,10 @@ use imrs_wire::obs::RealTime;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 
-/// What a node is made from.
+/// The parts from which a node is made.
 pub(crate) struct Plan {
     pub machine: imrs_protocol::Node,
-    /// What runs the program of each task of the node.
+    /// The thread that runs the program of each task of the node.
     pub run_by: Vec<RunBy>,
     pub incarnation: Incarnation,
     pub insecure: bool,
@@ -61,7 +61,7 @@ pub(crate) struct Plan {
     pub is_exact: bool,
 }
 
-/// After an answer, returns what the task asks next under the same lock; mostly nothing.
+/// Is called with an answer. Returns the next request of the task, to be made under the same lock; mostly none.
 pub(crate) type More<'a> = &'a mut dyn FnMut(&Completion) -> Option<Request>;
 
 /// A running node. Its threads share it with its observers.
@@ -77,31 +77,31 @@ pub struct Node {
     pub(crate) alarm: Arc<Alarm>,
     pub(crate) lateness: LatenessCounts,
     pub(crate) link: Option<Arc<dyn Link>>,
-    /// Kept as long as the node: a recorder that is dropped ends its recording.
+    /// Kept as long as the node, because dropping a recorder ends its recording.
     _recorder: Option<Arc<dyn Recorder>>,
     pub(crate) lead: Lead,
-    /// Whether the link brought something for a future since the thread of the futures last asked.
+    /// Whether the link brought an answer for a future since the thread of the futures last checked.
     pub(crate) futures_by_link: AtomicBool,
     /// For how long a task's thread spins before it sleeps.
     pub(crate) spin: Micros,
-    /// How long before its deadline a thread wakes, to spin until then.
+    /// How long before its deadline a waiting thread wakes, to spin until the deadline.
     pub(crate) spin_tail: Micros,
-    /// Whether the program asked for `spin_tail`.
+    /// Whether the program set `spin_tail` itself.
     pub(crate) is_exact: bool,
     pub(crate) peers: Box<[Peer]>,
-    /// Where the scripts of the node act. Set when the runtime starts.
+    /// Where the scripts of the node carry out their actions. Set when the runtime starts.
     pub(crate) stage: OnceLock<Stage>,
-    /// Drops that no machine saw, by position in [`Reason::ALL`].
+    /// Drops that no state machine saw, by position in [`Reason::ALL`].
     pub(crate) discards: [AtomicU64; Reason::ALL.len()],
     /// Drops by links, by position in [`LinkDiscard::NAMES`].
     pub(crate) link_discards: [AtomicU64; LinkDiscard::NAMES.len()],
 }
 
-/// A neighbour.
+/// What a node knows about one of its neighbours.
 pub(crate) struct Peer {
     pub node: NodeId,
     pub received: AtomicU64,
-    /// When packets last came from it, in microseconds of the node's clock; zero before the first.
+    /// When packets last arrived from the neighbour, in microseconds of the node's clock; zero before the first.
     pub heard: AtomicU64,
     incarnation: Mutex<Option<Incarnation>>,
 }
@@ -185,12 +185,12 @@ impl Node {
     }
 
     /// An instant, in microseconds of the node's clock. Every script step before it has been reported to its
-    /// [`Watch`](crate::script::Watch), and each task knows of a lease that ended before it. No step is reported later with an
-    /// earlier time.
+    /// [`Watch`](crate::script::Watch), and each task knows if its lease ended before it. No step is reported later
+    /// with an earlier time.
     #[must_use]
     pub fn told_until(&self) -> u64 {
         let now = clock::now();
-        // A step is stamped and reported under its task's lock, so this look comes after every step stamped before.
+        // A script step is stamped and reported under its task's lock, so this look follows every step stamped before.
         for local in &self.locals.list {
             if self.look(local, |comm| comm.is_overdue(now)) {
                 self.catch_up(local);
@@ -206,7 +206,7 @@ impl Node {
         self.carry_out(&mut effects);
     }
 
-    /// Makes a request from a task's own thread, then the requests that [`More`] adds, and carries out their effects.
+    /// Makes a request from a task's own thread, then the requests that [`More`] returns, and carries out their effects.
     pub(crate) fn ask(
         &self,
         place: usize,
@@ -232,7 +232,7 @@ impl Node {
         effects: &mut Effects,
     ) -> Entry<Completion> {
         if due {
-            // Before the task's own time_out is decided: the task must know whether its message ever left.
+            // This comes before the decision on the task's own time_out, because the task must know whether its message left.
             self.dispatch.advance(now, effects);
             self.timers.advance(now, effects);
             self.carry_out(effects);
@@ -244,7 +244,7 @@ impl Node {
         entry
     }
 
-    /// Looks at a communication task after draining its inbox. Nothing else of the task changes.
+    /// Calls `look` with a communication task after draining its inbox. Nothing else of the task changes.
     pub(crate) fn look<R>(&self, local: &LocalTask, look: impl FnOnce(&mut Comm) -> R) -> R {
         let mut effects = Effects::of_an_onlooker();
         let seen = guarded("a look at a communication task", || local.look(look, &mut effects));
@@ -252,7 +252,7 @@ impl Node {
         seen
     }
 
-    /// Does everything that is due and that no task's thread waits for.
+    /// Does all work that is due and that no task's thread waits for.
     pub(crate) fn tend(&self, now: Micros, effects: &mut Effects) {
         let count = self.locals.list.len();
         if self.alarm.slot(count) <= now {
@@ -271,7 +271,7 @@ impl Node {
         }
     }
 
-    /// Carries out effects until none are left: one effect may cause others.
+    /// Carries out effects until none remain: one effect may cause others.
     pub(crate) fn carry_out(&self, effects: &mut Effects) {
         self.call_futures(effects);
         if !effects.is_done() || self.link.is_some() {
@@ -301,7 +301,7 @@ impl Node {
                 }
             }
             if effects.queue.is_empty() && effects.called.is_empty() {
-                // The next turn of a domain, now that all its other effects are carried out.
+                // Takes the next turn of a domain, now that all its other effects are carried out.
                 let Some(home) = effects.inside.first() else { return };
                 self.locals.list[home.place()].handoff.visit(|_, _| (), effects);
             }
@@ -353,8 +353,8 @@ impl Node {
         }
     }
 
-    /// Takes in packets that came together: with one instant and one charge for all, so that no packet counts as older than one
-    /// sent before it. Each task takes its packets under one lock.
+    /// Handles packets that arrived together: with one instant and one charge for all, so that no packet counts as
+    /// older than a packet that was sent before it. Each task takes its packets under one lock.
     fn receive(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Micros, effects: &mut Effects) {
         for &packet in packets {
             match arrived(&self.table, from, packet, charge) {
@@ -372,7 +372,7 @@ impl Node {
                 }
                 Arrival::Relay(packet) => {
                     effects.leaving.push((at, packet));
-                    // No more packets than can pass without entering the buffer.
+                    // No more packets are gathered than can be sent without entering the buffer.
                     if effects.leaving.len() >= self.dispatch.at_once {
                         self.dispatch.pump(at, effects);
                     }
@@ -386,7 +386,7 @@ impl Node {
         self.carry_out(effects);
     }
 
-    /// A neighbour has a new incarnation.
+    /// Tells all tasks that a neighbour has a new incarnation.
     fn restarted(&self, node: NodeId, at: Micros, effects: &mut Effects) {
         for local in &self.locals.list {
             let stamped = Stamped { at, input: Input::PeerRestarted(node) };

@@ -1,4 +1,4 @@
-//! The programs of a node's tasks: what each is, where it runs, how it ended.
+//! The programs of a node's tasks: which kinds there are, where they run, and how they ended.
 
 use crate::api::context::{Caller, TaskError};
 use crate::node::Node;
@@ -12,21 +12,21 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 
-/// Runs a task's program with a context for this place of the node.
+/// Runs a task's program with a context for this place on the node.
 pub(crate) type TaskBody = Box<dyn FnOnce(Arc<Node>, usize) -> Result<(), TaskError> + Send>;
 
 /// The running program of a task that is a future. It stays on its thread.
 pub(crate) type Running = Pin<Box<dyn Future<Output = Result<(), TaskError>>>>;
-/// Makes the program of a task that reaches its communication task by this.
+/// Makes the program of a task; the program reaches its communication task through the `Caller`.
 pub(crate) type AsyncBody = Box<dyn FnOnce(Caller) -> Running + Send>;
 
-/// What a task runs.
+/// The program of a task.
 pub(crate) enum TaskProgram {
     /// A Rust program, on a thread of its own.
     Body(TaskBody),
     /// A Rust program that is a future, on the thread of the node's futures.
     Async(AsyncBody),
-    /// A script, run by the thread that brings it input.
+    /// A script. The thread that brings input for it runs it.
     Script(Arc<Script>),
 }
 
@@ -43,16 +43,16 @@ impl TaskProgram {
 /// How a task's program ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum TaskEnd {
-    /// It returned, by itself or because the node stops.
+    /// The program returned, by itself or because the node stops.
     Returned,
-    /// It returned an error.
+    /// The program returned an error.
     Failed(TaskError),
-    /// It panicked with this message: a crash of this task alone.
+    /// The program panicked with this message: a crash of this task alone.
     Panicked(String),
-    /// It was a script, and ended by itself.
+    /// The program was a script, and ended by itself.
     Script(End),
-    /// It was still running when `patience` ended. Its thread goes on, but can no longer ask for anything. A future is dropped
-    /// when it next waits.
+    /// The program was still running when `patience` ended. Its thread goes on, but its requests fail. A future is
+    /// dropped when it next waits.
     Unfinished,
 }
 
@@ -68,9 +68,9 @@ pub enum StartError {
     /// The task is assigned to another node.
     #[error("task `{task}` runs on node `{node}`, not here")]
     Elsewhere {
-        /// The task.
+        /// The name of the task.
         task: String,
-        /// Where it runs.
+        /// The name of the node on which the task runs.
         node: String,
     },
     /// The task was given two programs.
@@ -82,15 +82,15 @@ pub enum StartError {
     /// The node has neighbours, and no link was given.
     #[error("node `{0}` has neighbours but was given no link")]
     NoLink(String),
-    /// The script is malformed.
+    /// The script of this task is malformed.
     #[error("the script of task `{0}` is malformed: {1:?}")]
     Script(String, ProgramError),
     /// The operating system refused a thread.
     #[error("cannot start a thread for `{name}`: {source}")]
     Thread {
-        /// What it was for.
+        /// The name of the thread that was to be started.
         name: String,
-        /// Why.
+        /// The error of the operating system.
         source: io::Error,
     },
 }

@@ -19,7 +19,8 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// How long before its deadline a waiting thread wakes, by default: about the time from there to its program.
+/// How long before its deadline a waiting thread wakes, by default: about the time from the thread's wake-up until its
+/// program runs.
 pub const SPIN_TAIL: Duration = Duration::from_micros(8);
 
 /// A running node.
@@ -48,7 +49,7 @@ pub const SPIN_TAIL: Duration = Duration::from_micros(8);
 pub struct Runtime {
     node: Arc<Node>,
     shared: Arc<Shared>,
-    /// The name of each task, and its thread if it has one.
+    /// The name of each task, and the task's thread if it has one.
     tasks: Vec<(String, Option<JoinHandle<()>>)>,
     helpers: Vec<JoinHandle<()>>,
     executor: Option<Executor>,
@@ -57,7 +58,7 @@ pub struct Runtime {
 /// What the threads of a node tell each other besides messages.
 struct Shared {
     closing: AtomicBool,
-    /// How each task's program ended; `None` while it runs.
+    /// How each task's program ended; `None` while the program runs.
     ends: Mutex<Vec<Option<TaskEnd>>>,
     changed: Condvar,
 }
@@ -68,14 +69,14 @@ impl Shared {
     }
 
     fn ended(&self, place: usize, end: TaskEnd) {
-        // The slot is gone if the node has stopped without this task.
+        // `ends` has no slot for this task if the node has stopped without waiting for it.
         if let Some(slot) = self.ends().get_mut(place) {
             *slot = Some(end);
         }
         self.changed.notify_all();
     }
 
-    /// The script no longer runs.
+    /// Notes that the script no longer runs.
     fn stopped(&self, place: usize) {
         if let Some(slot) = self.ends().get_mut(place) {
             slot.get_or_insert(TaskEnd::Returned);
@@ -110,7 +111,7 @@ impl Runtime {
             changed: Condvar::new(),
         });
         awake::quota();
-        // From here on, an error drops the runtime and thereby ends what runs already.
+        // From here on, an error drops the runtime, which ends the threads that run already.
         let mut runtime = Self { node, shared, tasks: Vec::new(), helpers: Vec::new(), executor: None };
         let (weak, ends) = (Arc::downgrade(&runtime.node), Arc::clone(&runtime.shared));
         let ended = move |place: usize, end| ends.ended(place, TaskEnd::Script(end));
@@ -140,9 +141,9 @@ impl Runtime {
         Ok(runtime)
     }
 
-    /// Starts the scripts that [`Builder::hold_scripts`](crate::Builder::hold_scripts) kept from starting, each once. Scripts of
-    /// a restarted node are held back for as long as their tasks need. Returns when the next script may begin: call this again
-    /// then. `None`: all have begun.
+    /// Starts the scripts that [`Builder::hold_scripts`](crate::Builder::hold_scripts) kept from starting, each once.
+    /// Scripts of a restarted node are held back for as long as their tasks need. Returns when the next script may
+    /// begin, so that the caller calls this again then; `None` if all scripts have begun.
     pub fn begin(&self) -> Option<Instant> {
         let mut effects = Effects::new(None);
         let (now, here) = (clock::now(), Instant::now());
@@ -160,7 +161,7 @@ impl Runtime {
         next.map(|next| here + Duration::from_micros(next - now))
     }
 
-    /// The node, to observe it.
+    /// The running node. Observers need it.
     #[must_use]
     pub fn node(&self) -> &Arc<Node> {
         &self.node
@@ -172,15 +173,15 @@ impl Runtime {
         self.shared.wait_for_tasks(Instant::now() + patience)
     }
 
-    /// Stops the node: every wait of its tasks ends with [`TaskError::Stopped`], and the other members of a `waitfor` are told.
-    /// Then the other threads end. Waits at most `patience` for the tasks. Returns how each program ended.
+    /// Stops the node: every wait of its tasks ends with [`TaskError::Stopped`], and the other members of a `waitfor` get an
+    /// ABORT. Then the other threads end. Waits at most `patience` for the tasks. Returns how each program ended.
     #[must_use = "says which programs did not end"]
     pub fn stop(mut self, patience: Duration) -> Vec<(String, TaskEnd)> {
         self.stop_tasks();
         self.shared.wait_for_tasks(Instant::now() + patience);
         self.close();
         for helper in self.helpers.drain(..) {
-            // A panic of a helper thread has ended the process.
+            // A panic of a helper thread would have ended the process.
             let _ = helper.join();
         }
         if let Some(executor) = self.executor.take() {
@@ -265,8 +266,8 @@ fn run_task(node: &Arc<Node>, place: usize, program: TaskBody) -> TaskEnd {
     end
 }
 
-/// Sleeps until just before the next expiry that no task's thread waits for, and spins until then (D131). Without an expiry it
-/// sleeps until there is one.
+/// Sleeps until just before the next expiry that no task's thread waits for, and spins until the expiry (D131). Without
+/// an expiry it sleeps until one is published.
 fn run_timer(node: &Node, closing: &AtomicBool) {
     clock::sleep_exactly();
     let mut effects = Effects::new(None);

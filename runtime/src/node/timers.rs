@@ -15,9 +15,10 @@ pub(crate) struct Timers {
 }
 
 struct State {
-    /// The entries that a task's thread sleeps for.
+    /// The entries for which a task's thread sleeps.
     attended: Timer,
-    /// The entries that no thread sleeps for: the Timer thread serves them. Separate, so that its next expiry costs no search.
+    /// The entries that no thread sleeps for: the Timer thread serves them. They are kept apart, so that finding the
+    /// next expiry for the Timer thread costs no search.
     unattended: Timer,
 }
 
@@ -26,7 +27,7 @@ impl Timers {
     pub fn new(timer: Timer, tasks: usize, alarm: Arc<Alarm>, slot: usize, now: Micros) -> Self {
         let room = u16::try_from(tasks.saturating_mul(CommTask::ENTRIES)).unwrap_or(u16::MAX);
         let mut state = State { attended: timer, unattended: Timer::new(room) };
-        // Nothing is armed: this starts the clock.
+        // No timer is armed yet: this call starts the clock.
         state.advance(now, &mut Effects::of_an_onlooker());
         Self { alarm, slot, state: Mutex::new(state) }
     }
@@ -41,7 +42,7 @@ impl Timers {
     ) {
         let mut state = lock(&self.state);
         state.advance(at, effects);
-        // The delay counts from the instant at which the task asked, not from now.
+        // The delay counts from the instant at which the task made its request, not from now.
         let length = length - (state.now() - Instant(at));
         state.disarm(owner, id);
         let timer = if effects.waiter == Some(owner) { &mut state.attended } else { &mut state.unattended };
@@ -67,7 +68,7 @@ impl Timers {
         self.publish(&state);
     }
 
-    /// The entries with their remaining times, soonest first, and the time for which these are true.
+    /// The entries with their remaining times, soonest first, and the instant for which these times are true.
     pub fn entries(&self) -> (Vec<(TaskId, TimeId, Ticks)>, Micros) {
         let state = lock(&self.state);
         let mut entries = state.attended.entries();

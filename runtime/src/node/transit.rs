@@ -1,4 +1,4 @@
-//! The transit buffer of the route layer behind its lock, and the way from there to the link (§5.2.3, D19).
+//! The transit buffer of the route layer behind its lock, and how packets get from the buffer to the link (§5.2.3, D19).
 //!
 //! One thread at a time sends. Any other thread leaves its packets in the buffer and goes on. So packets reach the link in order
 //! of urgency, many packets for one neighbour leave together, and no thread waits for another one's syscall.
@@ -21,7 +21,7 @@ use std::sync::Arc;
 pub(crate) struct Dispatch {
     table: NodeTable,
     link: Option<Arc<dyn Link>>,
-    /// The most packets that one call hands to the link, and that a thread gathers for it.
+    /// The most packets that one call hands to the link, and that a thread gathers for such a call.
     pub at_once: usize,
     locals: Arc<LocalTasks>,
     alarm: Arc<Alarm>,
@@ -36,11 +36,11 @@ struct Buffer {
     ring: Ring,
 }
 
-/// The packets about to leave for one neighbour.
+/// The packets that leave for one neighbour next.
 struct Batch {
     next: NodeId,
     packets: Vec<Packet>,
-    /// How many packets the link takes now: none while it is not ready.
+    /// How many packets the link takes now: none while it is not ready for the neighbour.
     most: usize,
 }
 
@@ -54,12 +54,12 @@ impl Dispatch {
         now: Micros,
     ) -> Self {
         let neighbours: Vec<NodeId> = table.neighbours(table.node).collect();
-        // While another thread sends, gathered packets go into the buffer, and must not fill it by themselves.
+        // While another thread sends, gathered packets go into the buffer. They must not fill it by themselves.
         let room = (usize::from(transit.view().capacity) / 4).max(MAX_PACKETS);
         let at_once = link.as_ref().map_or(MAX_PACKETS, |link| link.at_once()).min(room);
         let batch = |&next: &NodeId| Batch { next, packets: Vec::with_capacity(at_once), most: 0 };
         let mut buffer = Buffer { transit, ring: Ring::new() };
-        // Nothing waits: this starts the buffer's clock.
+        // No packet waits yet: this call starts the buffer's clock.
         buffer.advance(&table, now, &locals, &mut Effects::of_an_onlooker());
         Self {
             link,
@@ -84,13 +84,13 @@ impl Dispatch {
         self.publish(&buffer);
     }
 
-    /// A neighbour takes packets again.
+    /// Makes a thread send again, because a neighbour takes packets again.
     pub fn ready(&self) {
         self.sender.want();
     }
 
-    /// Sends what this thread has gathered and whatever else can be sent. If another thread is sending, puts what was gathered
-    /// into the buffer: that thread checks again before it leaves.
+    /// Sends the packets that this thread has gathered, and all others that can be sent. If another thread is sending,
+    /// puts the gathered packets into the buffer: the other thread checks the buffer again before it stops sending.
     pub fn pump(&self, now: Micros, effects: &mut Effects) {
         let link = self.link.as_deref();
         if !effects.leaving.is_empty() {
@@ -119,7 +119,7 @@ impl Dispatch {
         self.publish(&buffer);
     }
 
-    /// The buffer's state, and the time for which it is true.
+    /// The buffer's state, and the instant for which it is true.
     pub fn view(&self) -> (TransitView, Micros) {
         let buffer = lock(&self.buffer);
         (buffer.transit.view(), buffer.now())
@@ -130,12 +130,12 @@ impl Dispatch {
         self.sent.iter().map(|(next, count)| (*next, count.load(Ordering::Relaxed)))
     }
 
-    /// Records what happened to a packet before any machine saw it.
+    /// Records what happened to a packet before any state machine saw it.
     pub fn note(&self, at: Micros, observation: Observation) {
         lock(&self.buffer).ring.push(at, observation);
     }
 
-    /// Looks at the buffer's observations.
+    /// Calls `look` with the buffer's observations.
     pub fn with_ring<R>(&self, look: impl FnOnce(&mut Ring) -> R) -> R {
         look(&mut lock(&self.buffer).ring)
     }
@@ -157,7 +157,8 @@ impl Dispatch {
                 continue;
             }
             let full = batch.packets.len() == self.at_once;
-            // This order: a preemption between the two readings makes the packets look too old, never too young.
+            // The clocks are read in this order because a preemption between the two readings then makes the packets
+            // look too old, never too young.
             let at = std::time::Instant::now();
             let then = clock::now().max(popped);
             let waited = Ticks(then - popped);
@@ -166,7 +167,7 @@ impl Dispatch {
             sent.fetch_add(taken as u64, Ordering::Relaxed);
             let more = full || (taken > 0 && taken < batch.packets.len());
             if taken < batch.packets.len() {
-                // The call may have taken long, and other threads may have advanced the buffer meanwhile.
+                // The call of the link may have taken long, and other threads may have advanced the buffer meanwhile.
                 self.offer(batch.packets.drain(taken..).map(|packet| (then, packet)), effects);
             }
             batch.packets.clear();
@@ -176,7 +177,8 @@ impl Dispatch {
         }
     }
 
-    /// Takes out what leaves now, for each neighbour the most urgent first. Returns when the remaining times are true.
+    /// Takes the packets that leave now, for each neighbour the most urgent first. Returns the instant at which their
+    /// remaining times are true.
     fn fill(
         &self,
         batches: &mut [Batch],
@@ -186,7 +188,8 @@ impl Dispatch {
     ) -> Micros {
         let mut buffer = lock(&self.buffer);
         buffer.advance(&self.table, now, &self.locals, effects);
-        // Packets pass only if they fit into one batch: more could leave in another order than that of urgency.
+        // Packets bypass the buffer only if they fit into one batch: more packets could leave in another order than
+        // that of urgency.
         let few = leaving.len() <= self.at_once;
         for (at, packet) in leaving.drain(..) {
             let packet = buffer.charged(&self.table, at, packet, &self.locals, effects);
@@ -220,8 +223,9 @@ fn put(batches: &mut [Batch], packet: Option<(NodeId, Packet)>) -> bool {
 }
 
 impl Batch {
-    /// Sorts each datagram into the order in which the buffer would have given it out. Not the whole batch: a message that more
-    /// than 63 later ones of its source overtake counts as already seen (D75, D129).
+    /// Sorts each datagram into the order in which the buffer would have given it out. It does not sort the whole
+    /// batch. Otherwise more than 63 later messages of a source might overtake an earlier one, which would then count
+    /// as already seen (D75, D129).
     fn sort(&mut self) {
         let urgency = |packet: &Packet| (packet.remaining, packet.class);
         self.packets.chunks_mut(MAX_PACKETS).for_each(|datagram| datagram.sort_by_key(urgency));
@@ -233,12 +237,12 @@ impl Batch {
 }
 
 impl Buffer {
-    /// Up to when time has passed in the buffer.
+    /// The instant up to which time has passed in the buffer.
     const fn now(&self) -> Micros {
         self.transit.now().0
     }
 
-    /// A packet whose remaining time was true at `at`, charged until now.
+    /// A packet whose remaining time was true at `at`, charged for the time until now.
     fn charged(
         &mut self,
         table: &NodeTable,
@@ -284,8 +288,9 @@ struct Out<'a> {
 }
 
 impl RouteOutbox for Out<'_> {
-    /// The news goes into the task's inbox before the buffer's lock is released. A task whose time_out is due advances the buffer
-    /// first, so it finds the news whichever thread dropped the packet. Its stamp 0 puts it before the decision on that time_out.
+    /// The report goes into the task's inbox before the buffer's lock is released. A task whose time_out is due
+    /// advances the buffer first, so it finds the report whichever thread dropped the packet. Because of its stamp 0,
+    /// the report comes before the decision on that time_out.
     fn unsent(&mut self, task: TaskId, id: MessageId) {
         let stamped = Stamped { at: 0, input: Input::Unsent(id) };
         let Some(local) = self.locals.of(task) else { return };

@@ -1,5 +1,5 @@
-//! Counts how late the Timer thread begins to serve expiries. There is one writer; its stores are relaxed, and it does not
-//! read the clock for this.
+//! Counts how late the Timer thread begins to serve expiries. Only one thread writes the counters; its stores are
+//! relaxed, and it does not read the clock for this.
 
 use crate::clock::Micros;
 use imrs_wire::obs::Lateness;
@@ -11,7 +11,8 @@ const SIZES: usize = 32;
 /// Counters of the Timer thread's lateness, with one writer.
 #[derive(Debug)]
 pub(crate) struct LatenessCounts {
-    /// The counters, by the number of binary digits: counter `n` counts values below `2^n` that are not below half of `2^n`.
+    /// The counters, by number of binary digits: counter `n` counts the values that are below `2^n` and at least half
+    /// of `2^n`.
     sizes: [AtomicU64; SIZES],
     late: AtomicU64,
     /// The lateness above which an expiry counts as late: the tick that the cell declares.
@@ -27,9 +28,9 @@ impl LatenessCounts {
         Self { sizes: std::array::from_fn(|_| AtomicU64::new(0)), late: AtomicU64::new(0), tick }
     }
 
-    /// Records that an expiry was served this much after its instant. Only the Timer thread calls this.
+    /// Records that the Timer thread served an expiry this much after its instant. Only the Timer thread calls this.
     pub fn note(&self, by: Micros) {
-        // With one writer, no increment is lost between the load and the store.
+        // Only one thread writes, so no increment is lost between the load and the store.
         let add = |count: &AtomicU64| count.store(count.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
         add(&self.sizes[size(by)]);
         if by > self.tick {
@@ -43,7 +44,7 @@ impl LatenessCounts {
         let new: [u64; SIZES] = std::array::from_fn(|n| now[n] - seen.0[n]);
         seen.0 = now;
         let all: u64 = new.iter().sum();
-        // The upper end of the range in which this percentile lies.
+        // The upper end of the counter's range in which this percentile lies.
         let within = |share: u64| {
             let wanted = (all * share).div_ceil(100).max(1);
             let mut sum = 0;

@@ -1,9 +1,10 @@
 //! Shows a running node to monitors ([`imrs_wire::obs`]): over a Unix socket that only its user can open and, on request,
 //! over TCP. Over TCP a token keeps others out, if one is set.
 //!
-//! One thread serves all monitors. It only looks: nothing that a monitor sends reaches a state machine. Without a monitor it
-//! sleeps in the kernel. A monitor that does not read costs one frame of memory and no time. No further frame is made for it
-//! until that frame has left. So it gets fewer snapshots, and the events that it misses are counted as lost.
+//! One thread serves all monitors. This thread only looks: nothing that a monitor sends reaches a state machine.
+//! Without a monitor the thread sleeps in the kernel. A monitor that does not read costs one frame of memory and no
+//! time: no further frame is made for it until that frame has left. So such a monitor gets fewer snapshots, and the
+//! events that it misses are counted as lost.
 
 mod client;
 mod due;
@@ -31,14 +32,14 @@ use stream::Listener;
 
 /// How many monitors a node serves at once.
 pub const MAX_MONITORS: usize = 8;
-/// How many further connections a node keeps, of clients that have not yet shown that they may look.
+/// How many further connections a node keeps, of clients that have not shown yet that they are allowed to look.
 const MAX_STRANGERS: usize = 16;
 /// The niceness of the observer's thread: the lowest priority, because the tasks go first.
 const LEAST_PRIORITY: i32 = 19;
 /// How long the listener rests when the process has no file descriptor left for a new monitor.
 const REST: Duration = Duration::from_millis(500);
 
-/// Why a node cannot show itself to monitors. The node runs all the same.
+/// Why a node cannot show itself to monitors. The node runs nevertheless.
 #[derive(Debug, thiserror::Error)]
 pub enum ObserverError {
     /// There is no usable place for the socket.
@@ -101,7 +102,7 @@ pub enum Place {
 
 impl Observer {
     /// Shows `node` at the place where monitors look for it. Removes the sockets that dead nodes of the same cell left
-    /// there.
+    /// in that folder.
     pub fn start(node: Arc<Node>) -> Result<Self, ObserverError> {
         Showing::new(node).start()
     }
@@ -125,7 +126,7 @@ impl Observer {
     fn serve_at(showing: Showing, path: &Path) -> Result<Self, ObserverError> {
         let io = |source: io::Error| ObserverError::Io { path: path.into(), source };
         let listener = bind(path)?;
-        // Until this call, the folder keeps other users out, because only this user can enter it.
+        // Until this call, the folder keeps other users from the socket, because only this user can enter the folder.
         fs::set_permissions(path, Permissions::from_mode(0o600)).map_err(io)?;
         Self::serve(showing, Listener::Unix(listener), Place::Unix(path.into())).map_err(io)
     }
@@ -219,7 +220,7 @@ impl Server {
         }
     }
 
-    /// How many newcomers can be served: the number of free places, and of monitors that would make room.
+    /// How many new monitors can be served: the number of free places, and of idle monitors that would make room.
     fn room(&self, now: Instant) -> usize {
         let served = self.clients.iter().filter(|client| client.is_served()).count();
         let idle = self.clients.iter().filter(|client| client.idle_since(now).is_some()).count();
@@ -236,7 +237,7 @@ impl Server {
         }
     }
 
-    /// Sleeps until there is something to do. Returns `None` if the observer must end.
+    /// Sleeps until there is something to do. Returns `None` if the observer thread must end.
     fn sleep(&self) -> Option<Ready> {
         let due = self.clients.iter().filter_map(Client::due).chain(self.rest_until).min();
         let left = due.map(|due| due.saturating_duration_since(Instant::now()));
@@ -267,8 +268,8 @@ impl Server {
 
     fn accept(&mut self, now: Instant) {
         match self.listener.accept() {
-            // If there are too many strangers, the oldest is disconnected, because a client that may look shows that at
-            // once.
+            // If too many clients are connected that have not proven their right to look, the oldest of them is
+            // disconnected: a client with that right proves it at once.
             Ok(Some(stream)) => {
                 let strangers = || self.clients.iter().enumerate().filter(|(_, client)| !client.is_served());
                 if strangers().count() >= MAX_STRANGERS

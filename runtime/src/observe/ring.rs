@@ -15,7 +15,7 @@ pub(crate) struct Ring {
     readers: usize,
     /// How many observations are kept at most.
     room: usize,
-    /// Whether overwritten observations are read as if they were still there. For the test that must fail.
+    /// Whether overwritten observations are read as if they were still there: a planted bug that a test must find.
     #[cfg(test)]
     pub forgets_the_loss: bool,
 }
@@ -57,20 +57,20 @@ impl Ring {
         self.written += 1;
     }
 
-    /// Begins to follow the ring. Returns the position from which to read.
+    /// Begins to follow the ring. Returns the position from which the reader reads.
     pub fn subscribe(&mut self) -> u64 {
         self.kept.reserve_exact(self.room.saturating_sub(self.kept.len()));
         self.readers += 1;
         self.written
     }
 
-    /// Ends following.
+    /// Ends following the ring.
     pub fn unsubscribe(&mut self) {
         self.readers = self.readers.saturating_sub(1);
     }
 
-    /// Passes the observations since the position `from` to `each`, oldest first, at most `room` of them. Returns where to
-    /// go on, and how many were overwritten before they were read.
+    /// Passes the observations since the position `from` to `each`, oldest first, at most `room` of them. Returns the
+    /// position from which to read on, and how many observations were overwritten before they were read.
     pub fn read(&self, from: u64, room: usize, mut each: impl FnMut(Micros, Observation)) -> (u64, u64) {
         let oldest = self.written - self.kept.len() as u64;
         let begin = from.max(oldest);

@@ -1,4 +1,4 @@
-//! Snapshots of a running node. A snapshot takes nothing out of the node and advances no clock. Input that was left in
+//! Snapshots of a running node. A snapshot removes nothing from the node and advances no clock. Input that was left in
 //! a task's inbox is handled first (D130), with the time at which it arrived.
 
 use crate::clock;
@@ -47,8 +47,8 @@ impl Node {
         }
     }
 
-    /// The state of the node, with at most `queue_limit` waiting messages of each port. Each state machine is read under its
-    /// own lock, one after the other, so the parts of a snapshot are of slightly different instants.
+    /// The state of the node, with at most `queue_limit` waiting messages of each port. The state machines are read one
+    /// after the other, each under its own lock, so the parts of a snapshot are of slightly different instants.
     #[must_use]
     pub fn snapshot(&self, queue_limit: usize) -> Snapshot {
         self.snapshot_of(&Watching { queue_limit, ports: Vec::new() })
@@ -178,13 +178,13 @@ pub struct Observations {
 
 impl Observations {
     /// Appends the observations since the last call to `events`, at most `room` of each state machine, oldest first for
-    /// each. Returns how many were lost.
+    /// each. Returns how many observations were lost.
     pub fn drain(&mut self, room: usize, events: &mut Vec<TimedEvent>) -> u64 {
         self.drain_of(|_| true, room, events)
     }
 
-    /// As [`drain`](Self::drain), for the state machines that `wanted` selects (`None` stands for the transit buffer). The
-    /// observations of the others are skipped, and not counted.
+    /// As [`drain`](Self::drain), for the state machines that `wanted` selects (`None` stands for the transit buffer).
+    /// The observations of other state machines are skipped, and not counted as lost.
     pub fn drain_of(
         &mut self,
         wanted: impl Fn(Option<TaskId>) -> bool,

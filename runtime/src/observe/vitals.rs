@@ -1,5 +1,5 @@
-//! The vitals of a node's process, for monitors. They are read when a monitor wants them; only lateness is counted where it
-//! arises.
+//! The vitals of a node's process, for monitors. They are read when a monitor wants them; only the Timer's lateness is
+//! counted all the time.
 
 use crate::clock;
 use crate::node::Node;
@@ -9,7 +9,7 @@ use rustix::time::{ClockId, clock_gettime};
 use std::fs;
 
 impl Node {
-    /// The vitals of the process, with how late the Timer was since `seen`.
+    /// The vitals of the process, with how late the Timer thread was since `seen`.
     pub(crate) fn vitals(&self, seen: &mut Seen, recording: Option<RecordingFacts>) -> Vitals {
         let cpu = clock_gettime(ClockId::ProcessCPUTime);
         let micros = |part: i64| u64::try_from(part).unwrap_or(0);

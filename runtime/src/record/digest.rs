@@ -5,10 +5,10 @@ use imrs_protocol::{CONTENTS_BYTES, Contents, Delivery, MessageId, Outcome, Pack
 use postcard::ser_flavors::Flavor;
 use serde::Serialize;
 
-/// Identifies all outputs of a communication task or a script so far, in order. It is equal in two runs only if every
-/// packet, every signal and every request to the Timer was equal (except for collisions of 64 bits). It is computed from the
-/// 64-bit numbers that make up an output, so it is the same in every build and on every machine. For outputs that come with
-/// every message, this module defines these numbers; other outputs are encoded with postcard.
+/// Identifies all outputs so far of a communication task or a script, in order. Two runs have equal digests only if every
+/// packet, every signal and every request to the Timer was equal (except for collisions of 64 bits). The digest is computed
+/// from the 64-bit numbers that make up an output, so it is the same in every build and on every machine. For outputs that
+/// come with every message, this module defines these numbers; other outputs are encoded with postcard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OutputDigest(pub u64);
 
@@ -21,7 +21,8 @@ enum Output {
     Disarm(TimeId),
 }
 
-/// The top byte of the first number of an output that this module lays out. In postcard the top byte is never above 7.
+/// The top byte of the first number of an output whose numbers this module defines. In outputs that postcard encodes,
+/// the top byte is never above 7.
 #[derive(Clone, Copy)]
 enum Mark {
     Packet = 0x80,
@@ -38,7 +39,7 @@ impl Mark {
 }
 
 impl OutputDigest {
-    /// The digest of no output.
+    /// The digest before any output.
     pub const START: Self = Self(0xcbf2_9ce4_8422_2325);
 
     pub(crate) fn transmitted(&mut self, packet: &Packet) {
@@ -93,7 +94,7 @@ impl OutputDigest {
     }
 
     pub(crate) fn add(&mut self, output: &impl Serialize) {
-        // Every output can be serialised. If one ever could not, the digest would stay the same in both runs.
+        // Every output can be serialised. If one could not, the digest would stay the same in the run and in the replay.
         let lanes = Lanes { digest: *self, lane: 0, filled: 0 };
         if let Ok(digest) = postcard::serialize_with_flavor(output, lanes) {
             *self = digest;
@@ -106,7 +107,7 @@ impl OutputDigest {
         self.0 = hash ^ (hash >> 32);
     }
 
-    /// Mixes in the bytes, and their number in the top byte of the last word.
+    /// Mixes the bytes of the contents into the digest, and their number in the top byte of the last word.
     fn contents(&mut self, contents: &Contents) {
         const { assert!(CONTENTS_BYTES == 12) };
         let [a, b, c, d, e, f, g, h, i, j, k, l] = *contents.padded();
@@ -180,7 +181,8 @@ mod tests {
         }
     }
 
-    /// Compares with the numbers in recordings of other builds: if these numbers change, recordings need a new version.
+    /// Compares the digests with the numbers in recordings of other builds: if these numbers change, recordings need a
+    /// new version.
     #[test]
     fn what_comes_with_every_message_is_laid_out_so() {
         let mut digest = OutputDigest::START;
@@ -213,7 +215,7 @@ mod tests {
         digest.armed(TimeId(1), Ticks(300));
         digest.disarmed(TimeId(1));
         digest.signalled(Signal::TimeOut(TimeId(1)));
-        // If a lane is full, an empty one follows it.
+        // If a lane of eight bytes is full, an empty lane follows it.
         digest.armed(TimeId(1), Ticks(1 << 36));
         let short = |bytes: &[u8]| {
             let mut lane = [0; 8];
@@ -226,7 +228,7 @@ mod tests {
         assert_eq!(digest, by_hand(&lanes));
     }
 
-    /// Changes each field of a packet, and compares contents that could be mistaken for others.
+    /// Changes each field of a packet, and compares contents that could be mistaken for each other.
     #[test]
     fn packets_that_differ_have_other_digests() {
         let p = packet();

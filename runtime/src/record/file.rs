@@ -14,8 +14,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// How many slots the lanes of all tasks of a node have together: 16 MiB. A step takes one slot. If a lane is full, a gap is
-/// recorded instead; once the disk keeps up again, the recording goes on with a keyframe.
+/// How many slots the lanes of all tasks of a node have together, in 16 MiB. A recorded step takes one slot. If a lane
+/// is full, a gap is recorded instead; once the disk keeps up again, the recording goes on with a keyframe.
 const SLOTS: usize = 1 << 18;
 /// The least and the most slots of one task's lane, whatever the number of tasks: 4 KiB and 2 MiB.
 const OF_A_TASK: (usize, usize) = (1 << 6, 1 << 15);
@@ -53,13 +53,13 @@ pub struct FileRecorder {
     logs: Mutex<BTreeMap<TaskId, TaskLog>>,
 }
 
-/// The data that pass beside the lane of a task.
+/// The data of a task that do not go through its lane.
 #[derive(Default)]
 struct Aside {
-    /// How many records were lost, and how many inputs were among them. They are counted in this order.
+    /// How many records were lost, and how many of them were inputs. The counters are increased in this order.
     lost: AtomicU64,
     lost_inputs: AtomicU64,
-    /// The keyframes, one for each mark of a keyframe that is in the lane.
+    /// The keyframes, one for each keyframe mark in the lane.
     keyframes: Mutex<VecDeque<Vec<u8>>>,
     /// Whether the node has stopped.
     closed: AtomicBool,
@@ -79,10 +79,11 @@ pub struct About<'a> {
 }
 
 impl FileRecorder {
-    /// Begins to record a node. If the disk fails, `on_failure` is called once, and the node goes on without a recording.
+    /// Begins to record a node. If the disk fails, the recorder calls `on_failure` once, and the node goes on without a
+    /// recording.
     ///
     /// # Errors
-    /// [`WriteError`] if not even the beginning can be written.
+    /// [`WriteError`] if not even the beginning of the recording can be written.
     pub fn start(
         sink: impl Write + Send + 'static,
         table: &NodeTable,
@@ -104,7 +105,7 @@ impl FileRecorder {
         // The queue has one place only, because no frames go through it.
         let recording = Recording::start(sink, &header, 1, on_failure)?;
         let tasks: Vec<TaskId> = table.tasks_on(table.node).collect();
-        // A power of two, not above the task's share of the slots.
+        // The number of slots is a power of two, and at most the task's share of the slots.
         let slots = 1 << (SLOTS / tasks.len().max(1)).clamp(OF_A_TASK.0, OF_A_TASK.1).ilog2();
         let (mut aside, mut logs) = (Vec::new(), BTreeMap::new());
         for task in tasks {
@@ -160,19 +161,19 @@ fn ends(task: TaskId, slots: usize, alert: Alert) -> (TaskLog, TaskSource) {
     (TaskLog { fill, alert, aside, needs_keyframe: false, pause: 0, told: 0 }, source)
 }
 
-/// The log of one communication task's steps. It is used under that task's lock, so nothing here blocks, allocates or enters
-/// the kernel. The one exception is waking the writing thread: if it had found nothing to do, or whenever another quarter of
-/// the lane has filled up.
+/// The log of one communication task's steps. It is used under that task's lock, so recording a step does not block,
+/// allocate or enter the kernel. The one exception is waking the writing thread: if that thread had found nothing to
+/// do, or whenever another quarter of the lane has filled up.
 struct TaskLog {
     fill: Fill,
     alert: Alert,
     aside: Arc<Aside>,
-    /// Whether something was lost. Until the next keyframe, no record of this task can be replayed.
+    /// Whether a record was lost. Until the next keyframe, no record of this task can be replayed.
     needs_keyframe: bool,
-    /// If the last state was too long to be recorded, after how many more lost steps a keyframe is tried again: as many
+    /// After how many more lost steps a keyframe is tried again, if the last state was too long to be recorded: as many
     /// as the state has bytes. So these attempts cost at most one byte for each step.
     pause: usize,
-    /// How many of the lost records have been reported in gaps.
+    /// How many of the lost records have been reported as gaps.
     told: u64,
 }
 
@@ -180,8 +181,8 @@ impl TaskLog {
     /// Handles the rare cases of a step: the writer sleeps or is gone, or the record found no room.
     #[cold]
     fn attend(&mut self, taken: bool, inputs: u64) {
-        // After a loss nothing is recorded until a keyframe, because such records could not be replayed and would only take
-        // room.
+        // After a loss nothing is recorded until a keyframe: such records could not be replayed and would only take
+        // room in the lane.
         if !(taken && self.alert.call()) {
             self.aside.lost.fetch_add(1, Ordering::Relaxed);
             self.aside.lost_inputs.fetch_add(inputs, Ordering::Release);
@@ -210,8 +211,8 @@ impl Log for TaskLog {
         }
     }
 
-    /// Whether a keyframe is needed and the disk keeps up again. A keyframe takes time and memory to make, and while the
-    /// disk does not keep up it would only be lost, too.
+    /// Whether a keyframe is needed and the disk keeps up again. A keyframe takes time and memory to make, and would be
+    /// lost, too, while the disk does not keep up.
     fn wants_keyframe(&self) -> bool {
         self.needs_keyframe && self.pause == 0 && self.fill.is_half_free() && !self.alert.is_over()
     }
@@ -243,7 +244,7 @@ struct TaskSource {
     /// The number of inputs so far, without the lost ones, and the digest after the last input.
     inputs: u64,
     outputs: u64,
-    /// How many of the lost records have been reported in gaps.
+    /// How many of the lost records have been reported as gaps.
     told: u64,
 }
 
@@ -286,8 +287,8 @@ impl Source for TaskSource {
 
     fn finish(&mut self, append: &mut Append<'_>) -> Result<(), WriteError> {
         self.fetch(append)?;
-        // `lost_inputs` is read first: this acquire pairs with the release in `attend`, so that `lost` covers all of these
-        // inputs.
+        // `lost_inputs` is read first: this acquire pairs with the release in `attend`, so that `lost` includes all
+        // inputs that `lost_inputs` counts.
         let lost_inputs = self.aside.lost_inputs.load(Ordering::Acquire);
         let untold = self.aside.lost.load(Ordering::Relaxed) - self.told;
         let task = self.task;

@@ -1,4 +1,5 @@
-//! Records the inputs of a node's communication tasks, and checks in a replay that the state machine does the same again.
+//! Records the inputs of a node's communication tasks, and checks in a replay that the state machines give the same
+//! outputs again.
 //!
 //! A communication task is a pure function of its inputs and the time between them. Its log is written under its lock, so the log
 //! has the order in which the task took its inputs, and needs no global order. With every input comes a digest of all outputs so
@@ -28,21 +29,21 @@ use std::sync::Arc;
 /// One input of a communication task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Step {
-    /// How long after the previous step this one came, in microseconds.
+    /// How long after the previous step this step came, in microseconds.
     pub elapsed: Ticks,
-    /// The input that came.
+    /// The input of the step.
     pub input: Input,
 }
 
 /// Receives the inputs of a node's communication tasks, and writes those of each task into a log of its own.
 pub trait Recorder: Send + Sync {
-    /// The log for the steps of `task`, from the start of the node on. `None` if they are not recorded. This is called once
-    /// for each task, before the first step.
+    /// The log for the steps of `task`, from the start of the node on. `None` if this task's steps are not recorded.
+    /// This is called once for each task, before the first step.
     fn log(self: Arc<Self>, task: TaskId) -> Option<Box<dyn Log>>;
 }
 
-/// Receives the inputs of one communication task. It is called under a lock for which the node's messages wait. So it must
-/// store the step and return, and never write to a disk or wait.
+/// Receives the inputs of one communication task. It is called under a lock for which the node's messages wait. So it
+/// must only store the step, and never write to a disk or wait.
 pub trait Log: Send {
     /// Records a step that the task has taken, with the digest of all its outputs, those of this step included. Returns
     /// whether the log wants the task's state before the next step, because steps were lost.
@@ -66,8 +67,8 @@ pub trait Log: Send {
     }
 }
 
-/// Identifies what scripts do: the digest of their programs, by task; zero if there are none. Texts of a cell that differ
-/// only in comments, or in the names of their files, have the same digest.
+/// Identifies what scripts do: the digest of their programs, by task; zero if there are no scripts. Texts of a cell
+/// that differ only in comments, or in the names of their files, have the same digest.
 #[must_use]
 pub fn statements<'p>(programs: impl IntoIterator<Item = (TaskId, &'p Program)>) -> u32 {
     let mut digest = OutputDigest::START;

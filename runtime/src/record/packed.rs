@@ -14,7 +14,7 @@ use imrs_protocol::{
 };
 use imrs_wire::recording::ScriptStep;
 
-/// The number of words of a slot, which is a cache line. Everything that is not encoded with postcard fits into one slot.
+/// The number of words of a slot, which is a cache line. Every input that is not encoded with postcard fits into one slot.
 const WORDS: usize = 8;
 type Words = [u64; WORDS];
 pub(super) type Fill = lane::Fill<WORDS>;
@@ -30,11 +30,11 @@ const SCRIPT: u64 = 6;
 const GAP: u64 = 7;
 const KEYFRAME: u64 = 8;
 
-/// The size of a buffer that any input fits, encoded with postcard.
+/// The size of a buffer that is large enough for any input, encoded with postcard.
 const LONGEST: usize = 256;
 const SLOT_BYTES: usize = WORDS * size_of::<u64>();
 
-/// One entry of a lane.
+/// One entry of a lane, read back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Entry {
     Input {
@@ -49,11 +49,11 @@ pub(super) enum Entry {
     Gap {
         lost: u64,
     },
-    /// The mark of a keyframe. Its state is the next one in the queue of states beside the lane.
+    /// The mark of a keyframe. The keyframe's state is the next one in the queue of states beside the lane.
     Keyframe {
         outputs: u64,
     },
-    /// Words that cannot be read, because of a fault of this module. The entry counts as lost.
+    /// Words that cannot be read, because of a fault of this module. The entry counts as a lost record.
     Unreadable,
 }
 
@@ -141,8 +141,8 @@ fn one(fill: &mut Fill, words: Words, crowded: impl FnOnce()) -> bool {
     room
 }
 
-/// Puts any input into the lane, encoded with postcard. An input that is too long for the buffer counts as one that finds no
-/// room.
+/// Puts any input into the lane, encoded with postcard. An input that is too long for the buffer counts as an input
+/// that finds no room.
 #[cold]
 fn long(fill: &mut Fill, step: &Step, outputs: u64, crowded: impl FnOnce()) -> bool {
     let mut bytes = [0; LONGEST];
@@ -242,7 +242,7 @@ fn script_step(which: u64, what: u64) -> ScriptStep {
     }
 }
 
-/// The length of the contents, and all their bytes.
+/// The length of the contents, and all their bytes, as three numbers.
 #[inline]
 fn words(contents: &Contents) -> (u64, u64, u64) {
     const { assert!(CONTENTS_BYTES == 12) };

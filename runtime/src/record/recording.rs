@@ -18,20 +18,20 @@ pub enum ReplayError {
     /// The recording was made with another cell.
     #[error("the recording is of a cell with digest {recorded:08x}, not {given:08x}")]
     OtherCell {
-        /// The digest in the recording.
+        /// The digest of the cell in the recording.
         recorded: u32,
-        /// The digest of the table to replay with.
+        /// The digest of the cell whose table was given for the replay.
         given: u32,
     },
     /// The recording was made with the same declarations and other statements.
     #[error("the recording is of statements with digest {recorded:08x}, not {given:08x}")]
     OtherStatements {
-        /// The digest in the recording.
+        /// The digest of the statements in the recording.
         recorded: u32,
-        /// The digest of the given scripts.
+        /// The digest of the statements of the given scripts.
         given: u32,
     },
-    /// The recording was made by another node, or by none.
+    /// The recording was made by another node, or says of no node that it made it.
     #[error("the recording holds no inputs of node {0}")]
     OtherNode(NodeId),
     /// The recording contains records of a task of another node.
@@ -40,7 +40,7 @@ pub enum ReplayError {
     /// The recording names a node, task or port that the cell does not have.
     #[error("the recording of {0} names something that is not in its cell")]
     Unknown(TaskId),
-    /// The recording lasts longer than a century, or begins more than a century after the start of its machine.
+    /// The recording lasts longer than a century, or begins more than a century after the start of its state machine.
     #[error("the recording says of {0} that more than a century passed: its times are damaged")]
     NoTime(TaskId),
     /// A keyframe of the recording cannot be used.
@@ -52,8 +52,8 @@ pub enum ReplayError {
 const LONGEST: u64 = 100 * 366 * 24 * 3_600 * 1_000_000;
 
 /// Replays the recording of a node, as far as the reader has whole records: one [`Replay`] for each task of the node,
-/// ascending. Afterwards [`RecordingReader::ending`] says whether the recording was ended; a verdict holds for the records
-/// that were read.
+/// ascending. Afterwards [`RecordingReader::ending`] says whether the recording has a regular end. A verdict holds for
+/// the records that were read.
 ///
 /// # Errors
 /// [`ReplayError`].
@@ -64,8 +64,8 @@ pub fn replay_recording<'t, R: Read>(
     replay_scripts(reader, table, |_| None, None)
 }
 
-/// As [`replay_recording`], with the scripts of those tasks that `script` knows. With a `watch`, which is informed as
-/// [`Replay::watched`] says, the replays also keep everything that happened, which takes memory for it.
+/// As [`replay_recording`], with the scripts of those tasks that `script` knows. With a `watch`, which is called as
+/// [`Replay::watched`] says, the replays also keep everything that happened in memory.
 ///
 /// # Errors
 /// [`ReplayError`].
@@ -120,10 +120,10 @@ impl<'t> Replays<'t> {
         Ok(Self(table.tasks_on(table.node).map(replay).collect()))
     }
 
-    /// Runs the next records, at most `most`. Returns how many there were.
+    /// Runs the next records, at most `most`. Returns how many records it ran.
     ///
     /// # Errors
-    /// [`ReplayError`]. Later records cannot be judged.
+    /// [`ReplayError`]. Records after the faulty one cannot be judged.
     pub fn go_on<R: Read>(
         &mut self,
         reader: &mut RecordingReader<R>,

@@ -16,7 +16,7 @@ use imrs_wire::recording::{Happened, Happening, ScriptStep};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-/// A recorded step and the digest after it.
+/// A recorded step, and the recorded digest after it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Recorded {
     /// The recorded step.
@@ -43,7 +43,7 @@ pub enum KeyframeError {
     /// The machine never reaches this state.
     #[error("the state of {0} breaks an invariant of its machine: {1}")]
     Unsound(TaskId, invariants::Violation),
-    /// No step is missing before the keyframe, and yet its state or its outputs differ from the replayed ones.
+    /// No step is missing before the keyframe, but its state or its outputs differ from those of the replay.
     #[error("the keyframe of {0} contradicts the steps before it")]
     Contradicts(TaskId),
 }
@@ -71,7 +71,7 @@ pub struct Replay<'t> {
     passed: u64,
     /// The node's clock at the first step.
     base: Option<u64>,
-    /// What happened, with the time of each event in microseconds since the first step; `None` if it is not kept.
+    /// The events of the replay, each with its time in microseconds since the first step; `None` if events are not kept.
     happened: Option<Vec<(u64, Happened)>>,
 }
 
@@ -100,14 +100,14 @@ impl<'t> Replay<'t> {
         }
     }
 
-    /// Also replays the task's script.
+    /// Makes the replay run the task's script, too.
     #[must_use]
     pub fn with_script(self, program: &Arc<Program>) -> Self {
         Self { script: Some(Again::new(program)), ..self }
     }
 
-    /// Informs `watch` of the requests of the script, their answers, and the state of its task. Times are microseconds since
-    /// the first step; [`base`](Self::base) says when that step was.
+    /// Calls `watch` with the requests of the script, their answers, and the state of its task. Times are microseconds
+    /// since the first step; [`base`](Self::base) returns the time of that step.
     #[must_use]
     pub fn watched(mut self, watch: &Arc<dyn Watch>) -> Self {
         let watched = Watched { task: self.task, watch: Arc::clone(watch) };
@@ -117,13 +117,13 @@ impl<'t> Replay<'t> {
         self
     }
 
-    /// When the first step was, in microseconds of the node's clock (`CLOCK_BOOTTIME`); `None` if no script has begun.
+    /// The time of the first step, in microseconds of the node's clock (`CLOCK_BOOTTIME`); `None` if no script has begun.
     #[must_use]
     pub const fn base(&self) -> Option<u64> {
         self.base
     }
 
-    /// Keeps everything that happens, for [`happened`](Self::happened).
+    /// Makes the replay keep everything that happens, for [`happened`](Self::happened).
     #[must_use]
     pub fn keeping(self) -> Self {
         Self { happened: Some(Vec::new()), ..self }
@@ -132,7 +132,7 @@ impl<'t> Replay<'t> {
     /// Runs the next step. After a gap, or after a step whose outputs differ, steps are only counted until a keyframe comes.
     pub fn step(&mut self, entry: Recorded) {
         if self.closed {
-            // A step after the end of the task is only counted, and reported as one too many.
+            // A step after the end of the task is only counted, and reported as one step too many.
             self.unjudged += 1;
             self.close(self.found() - 1, self.digest);
             return;
@@ -145,7 +145,7 @@ impl<'t> Replay<'t> {
         if self.script.as_mut().is_some_and(|script| !script.expects(&entry.step.input)) {
             self.lose_script();
         }
-        // The script stops now, with its last request, and not at the time when it last did something.
+        // The script stops now, with its last request, and not at the time of its last act.
         if let Input::Request(Request::Cancel) = entry.step.input
             && let Some((at, Happened::Stopped)) =
                 self.happened.as_mut().and_then(|happened| happened.last_mut())
@@ -163,7 +163,7 @@ impl<'t> Replay<'t> {
         }
         let mut out = Digesting { digest: Some(&mut self.digest), out: &mut heard };
         let run = || run_checked((machine, self.table), entry.step, &mut out);
-        // A recording may contain anything: an input that the machine cannot take is a fault of the recording.
+        // A recording may contain anything: if the machine panics on an input, the recording is wrong.
         let ran = catch_unwind(AssertUnwindSafe(run)).ok();
         let (sound, went_wrong) = (ran.unwrap_or(Ok(())), ran.is_none());
         if let Err(violation) = sound {
@@ -208,7 +208,7 @@ impl<'t> Replay<'t> {
         script.show(self.passed, machine);
     }
 
-    /// What happened, in order, if it was kept. `None` if its time is not known, or if parts are missing.
+    /// The kept events, in order. `None` if the time of the first step is not known, or if records are missing.
     #[must_use]
     pub fn happened(self) -> Option<Vec<Happening>> {
         let (task, base) = (self.task, self.base?);
@@ -228,7 +228,7 @@ impl<'t> Replay<'t> {
         (self.machine, self.script) = (None, None);
     }
 
-    /// Notes that the node stopped. Its task took `inputs` inputs since the start; `outputs` digests all its outputs.
+    /// Notes that the node stopped. Its task took `inputs` inputs since the node's start; `outputs` digests all its outputs.
     pub fn close(&mut self, inputs: u64, outputs: OutputDigest) {
         self.closed = true;
         let found = self.found();
@@ -244,10 +244,10 @@ impl<'t> Replay<'t> {
         (self.judged + self.unjudged) as u64
     }
 
-    /// Goes on from a recorded state.
+    /// Continues the replay from a recorded state.
     ///
     /// # Errors
-    /// [`KeyframeError`]. The replay stays as it was.
+    /// [`KeyframeError`]. The replay's state has not changed then.
     pub fn keyframe(&mut self, state: &[u8], digest: OutputDigest) -> Result<(), KeyframeError> {
         let (machine, rest) = postcard::take_from_bytes::<CommTask>(state)
             .map_err(|error| KeyframeError::Malformed(self.task, error))?;
@@ -285,7 +285,7 @@ impl<'t> Replay<'t> {
         }
     }
 
-    /// How long after the task's first step the last one came, in microseconds.
+    /// How long after the task's first step its last step came, in microseconds.
     pub(super) const fn passed(&self) -> u64 {
         self.passed
     }
@@ -332,7 +332,7 @@ impl<'t> Replay<'t> {
     }
 }
 
-/// Runs one step: first everything that is due, then the input, as the runtime does. Checks the machine after each.
+/// Runs one step as the runtime does: first everything that is due, then the input. Checks the machine after both.
 fn run_checked(
     (machine, table): (&mut CommTask, &NodeTable),
     step: Step,
@@ -347,8 +347,8 @@ fn run_checked(
     sound.and(take(&step.input))
 }
 
-/// Runs the machine of `task` through its recorded inputs, from the start of this incarnation of its node, and compares all
-/// outputs. Returns how many steps ran.
+/// Runs the machine of `task` through its recorded inputs, from the start of this incarnation of its node, and compares
+/// all its outputs. Returns how many steps ran.
 ///
 /// # Errors
 /// The first step whose outputs differ.
@@ -369,7 +369,7 @@ pub fn replay(
     Ok(replay.judged)
 }
 
-/// The outbox of a replayed step.
+/// The outbox of a step in the replay.
 struct Heard<'a> {
     at: u64,
     happened: Option<&'a mut Vec<(u64, Happened)>>,

@@ -1,4 +1,4 @@
-//! Runs the scripts of a recording again, together with their communication tasks, and compares what they do.
+//! Runs the scripts of a recording again, together with their communication tasks, and compares what the scripts do.
 
 use super::OutputDigest;
 use crate::script::{Note, Stands, Watch};
@@ -9,9 +9,9 @@ use serde::Serialize;
 use std::fmt;
 use std::sync::Arc;
 
-/// An act of a script, as it enters the digest. The statements that a script begins enter the digest, too, but not as
-/// acts. A request of a script is no act: it is compared with the recorded input of the communication task. The order
-/// of the variants is part of the recordings' format.
+/// An act of a script, in the form that enters the digest. The statements that a script begins enter the digest, too,
+/// but not as acts. A request of a script is no act: it is compared with the recorded input of the communication task.
+/// The order of the variants is part of the recordings' format.
 #[derive(Serialize)]
 pub(crate) enum Did<'a> {
     Acts { level: u8, action: u16, arguments: &'a [i64], least: Ticks, most: Ticks },
@@ -27,7 +27,7 @@ impl<'a> Did<'a> {
     }
 }
 
-/// A watch, which is informed of the acts of a replayed script.
+/// The user's watch, which is called with the acts of a replayed script.
 #[derive(Clone)]
 pub(super) struct Watched {
     pub task: TaskId,
@@ -40,12 +40,12 @@ impl fmt::Debug for Watched {
     }
 }
 
-/// A script that is replayed.
+/// The state of a script that is replayed.
 #[derive(Clone, Debug)]
 pub(super) struct Again {
     host: ScriptHost,
     done: OutputDigest,
-    /// The request that the script has made and that the recording has not shown yet.
+    /// The request that the script has made, and that has not been read from the recording yet.
     asked: Option<Request>,
     pub watched: Option<Watched>,
 }
@@ -60,7 +60,7 @@ impl Again {
         }
     }
 
-    /// Shows the state of the task, unless its script is in the midst of a step or its node stops.
+    /// Shows the state of the task to the watch, unless the task's script is in the middle of a step or its node stops.
     pub fn show(&self, at: u64, machine: &CommTask) {
         if let Some(Watched { task, watch }) = &self.watched
             && self.asked.is_none()
@@ -70,7 +70,8 @@ impl Again {
         }
     }
 
-    /// Whether this input of the communication task may come now: while a request of the script is open, only that request may.
+    /// Whether the communication task may get this input now: while a request of the script is open, it may get only
+    /// that request.
     pub fn expects(&mut self, input: &Input) -> bool {
         match (input, self.asked.take()) {
             (Input::Request(asked), Some(request)) => *asked == request,
@@ -111,8 +112,8 @@ impl Again {
         Some(what)
     }
 
-    /// Runs the script until it waits or makes a request. A driver would pass the request on; here the recording must show
-    /// it next, as an input of the communication task.
+    /// Runs the script until it waits or makes a request. A driver would pass the request on. In a replay, the request
+    /// must come next in the recording, as an input of the communication task.
     pub fn go_on(
         &mut self,
         at: u64,
@@ -159,7 +160,7 @@ impl ScriptOutbox for Out<'_> {
         self.done.add(&Did::CutShort(level));
     }
 
-    /// Returns no choice here, because the recording has it next.
+    /// Makes no choice: the recording has the choice as its next record.
     fn choose(&mut self, _: u16) -> Option<u16> {
         None
     }

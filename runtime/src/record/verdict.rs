@@ -4,13 +4,13 @@ use super::{OutputDigest, Step};
 use imrs_protocol::TaskId;
 use imrs_protocol::invariants::Violation;
 
-/// The first step in which the machine did not do what the recording says.
+/// The first step after which the machine's outputs differ from the recorded ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("step {index} of {task} put out something else than recorded: {step:?}")]
 pub struct Divergence {
     /// The task of the communication task.
     pub task: TaskId,
-    /// The number of the step, counted from zero without the steps that were not recorded.
+    /// The number of the step, counted from zero. Steps that were not recorded do not count.
     pub index: usize,
     /// The step whose outputs differ.
     pub step: Step,
@@ -23,21 +23,21 @@ pub struct Divergence {
 /// The result of replaying a task's recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// The recording is complete, and each replayed output was the same.
+    /// The recording is complete, and each output of the replay equals the recorded one.
     Same,
-    /// Every output that could be judged was the same, but steps are missing.
+    /// Every output that could be judged equals the recorded one, but steps are missing.
     Unknown,
-    /// A step put out something else than recorded; this is the first one.
+    /// A step of the replay had other outputs than the recorded step; this is the first such step.
     Differs(Divergence),
-    /// The script of the task did something else than recorded.
+    /// The script of the task did something else in the replay than in the recording.
     ScriptDiffers(ScriptDivergence),
-    /// An invariant that holds of every machine did not hold of this one.
+    /// An invariant that must hold for every state machine did not hold for this one.
     Breaks(InvariantBroken),
     /// The last record of the task contradicts the records before it.
     Miscounts(Miscount),
 }
 
-/// An invariant of the machine did not hold: a fault of the machine, never of a program or of the network.
+/// An invariant of the state machine did not hold. This is a fault of the machine, never of a program or of the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("at step {index} of {task}: {violation}")]
 pub struct InvariantBroken {
@@ -53,24 +53,24 @@ pub struct InvariantBroken {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{task} took {said} inputs with outputs {said_outputs:016x}, the recording has {found} with {outputs:016x}", said_outputs = .said_outputs.0, outputs = .outputs.0)]
 pub struct Miscount {
-    /// The task whose outputs were miscounted.
+    /// The task whose inputs or outputs were counted wrongly.
     pub task: TaskId,
-    /// How many inputs the task took, by its last record.
+    /// How many inputs the task took, according to its last record.
     pub said: u64,
-    /// How many inputs the recording has.
+    /// How many inputs of the task the recording has.
     pub found: u64,
-    /// The digest of the task's outputs, by its last record.
+    /// The digest of the task's outputs, according to its last record.
     pub said_outputs: OutputDigest,
-    /// The digest of the replayed outputs.
+    /// The digest of the task's outputs in the replay.
     pub outputs: OutputDigest,
 }
 
-/// The script of a task did something else than the recording says.
+/// The script of a task did something else in the replay than in the recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("after step {index} of {task} its script did something else than recorded")]
 pub struct ScriptDivergence {
     /// The task whose script differs.
     pub task: TaskId,
-    /// How many steps of the communication task had been run.
+    /// How many steps of the communication task had been replayed before.
     pub index: usize,
 }

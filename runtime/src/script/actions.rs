@@ -12,8 +12,8 @@ use std::time::Duration;
 
 /// Carries out the actions of scripts: by a simulation, by commands, or by functions of a program.
 pub trait Actions: Send + Sync {
-    /// Begins an action and returns at once; `ending` says later how the action ended. The returned [`Stop`] is called if the
-    /// action is cut short: then the robot must not act any more.
+    /// Begins an action and returns at once; `ending` reports later how the action ended. The returned [`Stop`] is
+    /// called if the action is cut short: then the robot must not act any more.
     fn begin(&self, act: &Act<'_>, ending: Ending) -> Option<Stop>;
 }
 
@@ -29,32 +29,32 @@ pub struct Act<'a> {
     pub name: &'a str,
     /// The action's arguments; a `real` is given by its bits.
     pub arguments: &'a [i64],
-    /// How many actions of this task began before.
+    /// How many actions this task began before this one.
     pub number: u64,
     /// The least time that the action takes.
     pub least: Duration,
     /// The longest time that the action takes.
     pub most: Duration,
-    /// The lease under which the task began the action; `None` if it is in no couple, or does not hold the lease.
+    /// The lease under which the task began the action; `None` if the task is in no couple, or does not hold the lease.
     pub lease: Option<HeldLease>,
 }
 
-/// The lease of a task that acts.
+/// The lease that a task holds while it acts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HeldLease {
     /// The epoch of the lease.
     pub epoch: u8,
     /// When the lease ends unless it is renewed, in microseconds of `CLOCK_BOOTTIME`: never later than its true end.
-    /// `None`: the task took over and acts alone, so the lease does not end by itself.
+    /// `None` if the task took over and acts alone, because the lease then does not end by itself.
     pub until: Option<u64>,
 }
 
-/// Reports how an action ended. If it is dropped without a report, the action counts as failed.
+/// Reports how an action ended. If this is dropped without a report, the action counts as failed.
 #[derive(Debug)]
 pub struct Ending {
     node: Weak<Node>,
     place: usize,
-    /// The thread of the script that waits for the action, and the action's number.
+    /// The thread of the script that waits for the action, and the number of the action.
     of: (u8, u64),
     said: bool,
 }
@@ -103,7 +103,7 @@ impl std::fmt::Debug for Node {
     }
 }
 
-/// An effect of a script outside of the node, which is carried out once the lock is released.
+/// An effect of a script outside of the node. It is carried out once the lock is released.
 #[derive(Clone, Debug)]
 pub(crate) enum OutsideEffect {
     Begin(Begun),
@@ -111,7 +111,7 @@ pub(crate) enum OutsideEffect {
     Ended { place: usize, end: End },
 }
 
-/// An action that begins.
+/// An action that is about to begin.
 #[derive(Clone, Debug)]
 pub(crate) struct Begun {
     pub place: usize,
@@ -126,21 +126,21 @@ pub(crate) struct Begun {
 
 type OnEnd = Box<dyn Fn(usize, End) + Send + Sync>;
 
-/// Where the scripts of a node act.
+/// Where the scripts of a node carry out their actions.
 pub(crate) struct Stage {
     node: Weak<Node>,
     actions: Arc<dyn Actions>,
-    /// By task and thread: the action that was last begun or cut short there. Two threads may carry out the begin of an action
-    /// and its cut in either order.
+    /// For each task and thread, the action that was last begun or cut short. The beginning of an action and its cut
+    /// may be carried out by two threads, in either order.
     running: Mutex<BTreeMap<(usize, u8), Running>>,
     ended: OnEnd,
 }
 
 #[derive(Default)]
 struct Running {
-    /// Every action with a smaller number was cut short or has ended.
+    /// Every action with a smaller number than this was cut short or has ended.
     over: u64,
-    /// The action that runs, by its number.
+    /// The action that runs, with its number.
     runs: Option<(u64, Stop)>,
 }
 
@@ -180,7 +180,7 @@ impl Stage {
             lease: begun.lease,
         };
         let ending = Ending { node: Weak::clone(&self.node), place, of: (level, number), said: false };
-        // Without the lock, because an action that ends at once may lead to the next one right here.
+        // The lock is not held here, because an action that ends at once may begin the next action on this same thread.
         let stop = self.actions.begin(&act, ending);
         let mut all = lock(&self.running);
         let running = all.entry((place, level)).or_default();
@@ -192,15 +192,16 @@ impl Stage {
         }
     }
 
-    /// The program of a script whose action is about to begin; `None` if the action is cut short. The node may have been stopped
-    /// since the script began it: for a task of a couple, the end of its lease comes first (D153).
+    /// The program of a script whose action is about to begin; `None` if the action is cut short. The node may have
+    /// been stopped since the script began the action. If the lease of the couple has ended meanwhile, that end comes
+    /// first (D153).
     fn check(&self, node: &Node, begun: &Begun) -> Option<Arc<Program>> {
         let Begun { place, level, number, .. } = *begun;
         let local = &node.locals.list[place];
         let (program, coupled) = node.look(local, |comm| (comm.program(), comm.is_coupled()));
         if coupled {
             node.catch_up(local);
-            // Another thread may have noticed the end of the lease, without having carried out the cut yet.
+            // Another thread may have noticed the end of the lease, but may not have cut the action short yet.
             return program.filter(|_| node.look(local, |comm| comm.is_acting(level, number)));
         }
         program

@@ -16,33 +16,36 @@ use std::time::{Duration, Instant};
 
 /// How much longer than declared a command may take before it is killed, by default: programs start slowly on a busy machine.
 const MARGIN: Duration = Duration::from_secs(2);
-/// How long a stop, and the next action of its task, wait for the guard to confirm the end of the command.
+/// How long a stop waits for the guard to confirm the end of the command, and how long the next action of the task
+/// waits for it.
 const STOP_WITHIN: Duration = Duration::from_millis(250);
-/// After how many microseconds a lease is checked again, at least and at most; in between, after a quarter of its remaining time.
+/// After how many microseconds a lease is checked again, at least and at most. Between these limits, it is checked
+/// after a quarter of its remaining time.
 const RENEW_EVERY: [u64; 2] = [2_000, 100_000];
-/// The time between two checks of the lease, in microseconds, for a task that acts alone: when its partner
-/// comes back, a lease begins.
+/// The time between two checks of the lease, in microseconds, for a task that acts alone: when its partner comes back,
+/// the task gets a lease again.
 const ALONE_EVERY: u64 = 10_000;
 
-/// Executes a command for each action that has one. Another [`Actions`] carries out the rest.
+/// Executes a command for each action that has one. Another [`Actions`] carries out the other actions.
 ///
-/// The program is started with its own arguments, then those of the action, without a shell. Exit code 0 is success. The result
-/// is the first line of its standard output, if that is a whole number (of at most 64 bytes; the rest of the output is dropped).
-/// It runs in a process group of its own under a guard ([`crate::guard`]), which kills it with all that it started when
+/// The program is started with its own arguments, then those of the action, without a shell. Exit code 0 is success.
+/// The result of the action is the first line of the program's standard output, if that is a whole number (of at most
+/// 64 bytes; further output is dropped). The program runs in a process group of its own under a guard
+/// ([`crate::guard`]). The guard kills it, with all processes that it started, when
 ///
 /// - the action is cut short, or the node ends, however it ends;
 /// - the lease of the task's couple ends without a renewal;
-/// - the action takes longer than declared, by more than the [`margin`](Self::margin) of 2 s: then it has failed, which is
-///   reported;
-/// - the command itself ends: what it left behind ends with it.
+/// - the action takes longer than declared, by more than the [`margin`](Self::margin) of 2 s: then the action has
+///   failed, and this is reported;
+/// - the command itself ends: the processes that it left behind end with it.
 ///
-/// The command learns in its environment:
+/// The command finds in its environment:
 ///
-/// - `IMRS_DEADLINE_US`: by when it must be over, in microseconds of `CLOCK_BOOTTIME`, in decimal;
-/// - `IMRS_EPOCH`: the epoch of the lease under which it acts, in decimal; absent if the task is in no couple.
+/// - `IMRS_DEADLINE_US`: the instant by which the command must have ended, in microseconds of `CLOCK_BOOTTIME`, in decimal;
+/// - `IMRS_EPOCH`: the epoch of the lease under which the command acts, in decimal; absent if the task is in no couple.
 ///
-/// Its standard input has a line `deadline N` at once, and another one whenever a renewal of the lease moves the deadline. The
-/// end of standard input means: stop now.
+/// The command's standard input has a line `deadline N` at once, and another such line whenever a renewal of the lease
+/// moves the deadline. The end of standard input means that the command must stop now.
 ///
 /// ```
 /// use imrs_runtime::guard::GuardProgram;
@@ -70,31 +73,31 @@ pub struct Commands {
     stopping: Arc<Stopping>,
 }
 
-/// Hears of a command that went wrong: the action, and how.
+/// A callback for a command that went wrong: it gets the action's name and the error.
 type Tell = Arc<dyn Fn(&str, &CommandError) + Send + Sync>;
 
 /// How a command went wrong, other than by an exit code, which means that the action failed.
 #[derive(Debug, thiserror::Error)]
 pub enum CommandError {
-    /// The program cannot be executed.
+    /// The program of the command cannot be executed.
     #[error("cannot execute `{program}`: {why}")]
     Program {
-        /// The program.
+        /// The path of the program.
         program: String,
-        /// Why.
+        /// The error of the operating system.
         why: io::Error,
     },
-    /// The guard cannot be started, so the program was not.
+    /// The guard cannot be started, so the command's program was not started.
     #[error(
         "cannot start the guard `{program}` of commands: {why}; install `imrs-guard` beside this program"
     )]
     Guard {
-        /// The guard's program.
+        /// The path of the guard's program.
         program: String,
-        /// Why.
+        /// The error of the operating system.
         why: io::Error,
     },
-    /// The notice for the launcher could not be written, so the program was not started.
+    /// The notice for the launcher could not be written, so the command's program was not started.
     #[error("cannot tell the launcher of the command: {0}")]
     Notices(io::Error),
     /// The command took too long and was killed.
@@ -102,7 +105,7 @@ pub enum CommandError {
     Late {
         /// How long the cell lets the action take.
         most: Duration,
-        /// How much longer it might take.
+        /// How much longer the action was allowed to take.
         margin: Duration,
     },
     /// The lease of the command's task ended, and the command was killed.
@@ -114,7 +117,8 @@ pub enum CommandError {
 }
 
 impl Commands {
-    /// `commands` has, by the name of the action, its program and the program's first arguments.
+    /// Executes `commands`: for each action's name, the program and the program's first arguments. `others` carries out
+    /// all other actions.
     #[must_use]
     pub fn new(commands: BTreeMap<String, Vec<String>>, others: Arc<dyn Actions>) -> Self {
         Self {
@@ -138,7 +142,7 @@ impl Commands {
         Self { tell: Arc::new(tell), ..self }
     }
 
-    /// Which program guards the commands.
+    /// Sets which program guards the commands.
     #[must_use]
     pub fn guard(self, guard: GuardProgram) -> Self {
         Self { guard, ..self }
@@ -151,26 +155,27 @@ impl Commands {
         self
     }
 
-    /// The cores that commands may use, if the node may use fewer: a node in real time has one.
+    /// Sets the cores that commands may use, if the node itself may use fewer: a node in real time has only one.
     #[must_use]
     pub fn cores(self, cores: impl IntoIterator<Item = usize>) -> Self {
         let cores: Vec<String> = cores.into_iter().map(|core| core.to_string()).collect();
         Self { cores: (!cores.is_empty()).then(|| cores.join(",")), ..self }
     }
 
-    /// The actions whose commands print a real: `2.5`. The others print a whole number.
+    /// Sets the actions whose commands print a real, such as `2.5`. The commands of other actions print a whole number.
     #[must_use]
     pub fn reals(self, actions: impl IntoIterator<Item = String>) -> Self {
         Self { reals: actions.into_iter().collect(), ..self }
     }
 
-    /// Reports in this pipe which commands run. Their keys begin with `of`, which no other node may use.
+    /// Sets the pipe in which the node reports which commands run. The keys of the commands begin with `of`, which no
+    /// other node may use.
     #[must_use]
     pub fn notices(self, pipe: Notices, of: &str) -> Self {
         Self { notices: Some((Arc::new(pipe), of.to_owned())), ..self }
     }
 
-    /// Tells the launcher that a command begins, before anything runs. Returns the command's key.
+    /// Tells the launcher that a command begins, before the command runs. Returns the command's key.
     fn announce(&self, task: &str) -> io::Result<Option<Announced>> {
         let Some((pipe, of)) = &self.notices else { return Ok(None) };
         let key = format!("{of}-{}", self.begun.fetch_add(1, Ordering::Relaxed));
@@ -199,7 +204,7 @@ impl Commands {
         let told = self.announce(act.task).map_err(CommandError::Notices)?;
         let errand = self.errand(act, words, told.as_ref());
         let mut guard = self.guard.command(&errand);
-        // A signal to the node's process group must not end the guard, too.
+        // The guard gets a process group of its own, because a signal to the node's group must not end the guard, too.
         guard.process_group(0).stdin(Stdio::piped()).stdout(Stdio::piped());
         match guard.spawn().and_then(Running::new) {
             Ok(running) => Ok((running, told)),
@@ -229,7 +234,8 @@ impl Announced {
 
 impl Actions for Commands {
     fn begin(&self, act: &Act<'_>, ending: Ending) -> Option<Stop> {
-        // A stop may have returned before its command ended, and two commands of a task must not move the robot at the same time.
+        // A stop may have returned before the stopped command ended, and two commands of a task must not move the robot
+        // at the same time.
         self.stopping.wait(act.task);
         let words = self.commands.get(act.name).filter(|words| !words.is_empty());
         let Some(words) = words else { return self.others.begin(act, ending) };
@@ -252,7 +258,7 @@ impl Actions for Commands {
         };
         let watching = thread::Builder::new()
             .name(format!("action {}", act.name))
-            // Without a thread the ending is dropped, which says that the action failed.
+            // If the thread cannot be started, `ending` is dropped, which reports that the action failed.
             .spawn(move || watcher.watch(ending));
         if watching.is_err() {
             running.let_go();
@@ -269,13 +275,13 @@ struct Stopping(Mutex<Vec<Stopped>>);
 struct Stopped {
     task: String,
     running: Arc<Running>,
-    /// Until when this thread waits for the command's end.
+    /// The instant until which a thread waits for the command's end.
     until: Instant,
 }
 
 impl Stopping {
-    /// Tells a command to stop, and waits until it has ended. The calling thread has other work, and may have many commands to
-    /// stop: all that do not end at once share the deadline of the first.
+    /// Tells a command to stop, and waits until it has ended. The calling thread has other work, and may have many
+    /// commands to stop: all commands that do not end at once share the deadline of the first.
     fn stop(&self, task: String, running: &Arc<Running>) {
         running.let_go();
         let now = Instant::now();
@@ -291,7 +297,7 @@ impl Stopping {
 
     /// Waits until the stopped commands of a task have ended, each at most [`STOP_WITHIN`] from its own stop on.
     fn wait(&self, task: &str) {
-        // The commands stay in the list meanwhile, because another thread may have to wait for them, too.
+        // The commands stay in the list during the wait, because another thread may have to wait for them, too.
         let all: Vec<_> = {
             let all = self.lock();
             let own = all.iter().filter(|stopped| stopped.task == task);
@@ -334,10 +340,11 @@ impl Watcher {
         }
     }
 
-    /// Tells the guard the present end of the lease. Returns after how many microseconds to check again; `None`: never.
+    /// Tells the guard the present end of the lease. Returns after how many microseconds to check the lease again;
+    /// `None` if never.
     fn renew(&self, ending: &Ending) -> Option<u64> {
         let begun = self.lease?;
-        // Under another epoch, the action for which this command was begun is over.
+        // If the task holds its lease under another epoch, the action for which this command was begun is over.
         let held = ending.lease().filter(|lease| lease.epoch == begun.epoch)?;
         let Some(until) = held.until else { return Some(ALONE_EVERY) };
         self.running.renew(until);

@@ -7,15 +7,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-/// A function that carries out an action: its result, or why it failed.
+/// A function that carries out an action. It returns the action's result, or why the action failed.
 type Function = Arc<dyn Fn(&Call) -> Result<i32, String> + Send + Sync>;
 
-/// What a function is called with.
+/// The argument of a function that carries out an action.
 #[derive(Clone, Debug)]
 pub struct Call {
     /// The name of the task.
     pub task: String,
-    /// The arguments; a `real` by its bits.
+    /// The action's arguments; a `real` is given by its bits.
     pub arguments: Vec<i64>,
     /// The least time that the action takes.
     pub least: Duration,
@@ -32,20 +32,21 @@ impl Call {
     }
 }
 
-/// Calls a function for each action that has one, each on a thread of its own. Another [`Actions`] carries out the rest.
+/// Calls a function for each action that has one, each call on a thread of its own. Another [`Actions`] carries out the
+/// other actions.
 pub struct Functions {
     functions: BTreeMap<String, Function>,
     others: Arc<dyn Actions>,
 }
 
 impl Functions {
-    /// No functions yet: `others` carries out every action.
+    /// Has no functions yet: `others` carries out every action.
     #[must_use]
     pub fn new(others: Arc<dyn Actions>) -> Self {
         Self { functions: BTreeMap::new(), others }
     }
 
-    /// Sets the function of the actions of this name. A function that panics has failed.
+    /// Sets the function for actions of this name. If the function panics, the action has failed.
     #[must_use]
     pub fn action(
         mut self,

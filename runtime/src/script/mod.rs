@@ -1,9 +1,9 @@
 //! Tasks whose behaviour is a script.
 //!
-//! A script has no thread. It is behind the lock of its communication task, which all scripts of the node share (D186),
-//! and the thread that brings input there runs it. So a step of the communication task and the reaction of its script
-//! are one step, as in the model. Messages between tasks of the node take steps of their own, or fused steps. The
-//! script's actions outside begin after the lock is released, and their ends are input again.
+//! A script has no thread. It is behind the lock of its communication task, which all scripts of the node share (D186). The
+//! thread that brings input to the communication task also runs the script. So a step of the communication task and the
+//! reaction of its script are one step, as in the model. Messages between tasks of the node take steps of their own, or fused
+//! steps. The script's actions begin after the lock is released, and the end of an action is an input again.
 
 mod actions;
 mod command;
@@ -22,15 +22,15 @@ pub(crate) use runner::ScriptRunner;
 use imrs_protocol::script::{Address, End, Script};
 use imrs_protocol::{CommTask, ReplyTo, Request, Signal, TaskId, Ticks};
 
-/// Receives notes about what scripts do. It is called under a lock for which messages wait, so it must pass
-/// the note on and return.
+/// Receives notes about what scripts do. It is called under a lock for which messages wait, so it must only pass the
+/// note on and return.
 pub trait Watch: Send + Sync {
-    /// Takes a note about what the script of `task` did at `at`, in microseconds of the node's clock
+    /// Takes a note about an act of the script of `task` at the instant `at`, in microseconds of the node's clock
     /// (`CLOCK_BOOTTIME`).
     fn note(&self, task: TaskId, at: u64, note: &Note);
 
-    /// The state of `task` since `at`, in microseconds of the node's clock, now that its script waits: a state between two steps
-    /// of the cell, as checks see it. Called after every step.
+    /// Takes the state of `task` since `at`, in microseconds of the node's clock, now that its script waits. This is a
+    /// state between two steps of the cell, as checks see it. Called after every step.
     fn stands(&self, task: TaskId, at: u64, stands: &Stands<'_>) {
         let _ = (task, at, stands);
     }
@@ -45,27 +45,27 @@ pub struct Stands<'a> {
     pub machine: &'a CommTask,
 }
 
-/// What a script does.
+/// An act of a script.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Note {
     /// A statement begins.
     Statement(Address),
-    /// The script asks its communication task.
+    /// The script makes a request to its communication task.
     Asked(Request),
-    /// The communication task answers.
+    /// The communication task answers the script.
     Answered(Signal),
     /// An action begins.
     Acts {
-        /// The thread that waits for the action.
+        /// The thread of the script that waits for the action.
         level: u8,
-        /// Which action of [`Program::actions`](imrs_protocol::script::Program::actions).
+        /// The number of the action in [`Program::actions`](imrs_protocol::script::Program::actions).
         action: u16,
         /// The action's arguments.
         arguments: Vec<i64>,
         /// The longest time that the action may take.
         most: Ticks,
     },
-    /// The action of this thread has ended.
+    /// The action of this thread of the script has ended.
     Acted {
         /// The thread that waited for the action.
         level: u8,
@@ -74,9 +74,9 @@ pub enum Note {
         /// The action's result.
         value: i32,
     },
-    /// The action of this thread was cut short.
+    /// The action of this thread of the script was cut short.
     CutShort(u8),
-    /// A class-2 message is forgotten without an answer.
+    /// The script forgets a class-2 message that it has not answered.
     Unanswered(ReplyTo),
     /// The script has ended.
     Ended(End),

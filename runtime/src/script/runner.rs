@@ -1,4 +1,4 @@
-//! A script and what it needs, behind the lock of its communication task.
+//! A script and its state, behind the lock of its communication task.
 
 use super::actions::{Begun, OutsideEffect};
 use super::{Note, Stands, Watch};
@@ -19,20 +19,20 @@ pub(crate) struct ScriptRunner {
     side: Side,
 }
 
-/// What a step of the script needs besides its communication task.
+/// The data that a step of the script needs besides the communication task.
 struct Side {
     place: usize,
-    /// For each thread, the number of the action that it waits for.
+    /// For each thread of the script, the number of the action for which it waits.
     acting: [Option<u64>; MAX_THREADS],
-    /// How many actions have begun.
+    /// How many actions of the script have begun.
     begun: u64,
     draws: fastrand::Rng,
     watch: Option<Arc<dyn Watch>>,
     /// The digest of everything that the script has done, if that is recorded.
     done: OutputDigest,
     ended: bool,
-    /// How many steps the scripts of the node may take together before input must come from outside: two scripts that answer each
-    /// other for ever would keep the thread that runs them from all its other work.
+    /// How many steps the scripts of the node may take together before the next input from outside of the node. Without this
+    /// limit, two scripts that answer each other for ever would keep the thread that runs them from all its other work.
     together: u32,
 }
 
@@ -70,12 +70,13 @@ impl ScriptRunner {
         self.tell(comm, ScriptInput::Begin, effects);
     }
 
-    /// Input comes to the communication task.
+    /// The communication task takes an input, and the script reacts.
     pub fn take(&mut self, comm: &mut Turn<'_>, stamped: Stamped, effects: &mut Effects) {
         let mut input = stamped.input;
         let only_time = matches!(input, Input::Time);
         let turn = time(comm, effects);
-        // One step for the time and the input, if nothing is due by then and no watch wants to see the state in between.
+        // The time and the input are one step if nothing becomes due by then, and if no watch wants to see the state
+        // between the two.
         let elapsed = if !only_time && self.side.watch.is_none() && comm.is_idle_until(turn) {
             comm.elapsed(turn)
         } else {
@@ -86,7 +87,7 @@ impl ScriptRunner {
             return;
         }
         if let Input::Packet(packet) = &mut input {
-            // The packet is charged for its wait for this step.
+            // The packet is charged for the time for which it waited for this step.
             packet.remaining = packet.remaining - Ticks((comm.now() + elapsed.0).saturating_sub(stamped.at));
         }
         self.step(comm, Step { elapsed, input }, effects);
@@ -108,7 +109,7 @@ impl ScriptRunner {
         effects: &mut Effects,
     ) {
         let (level, number) = end;
-        // Time passes first, because what is due by now may cut the action short.
+        // Time passes first, because an expiry that is due by now may cut the action short.
         self.let_time_pass(comm, effects);
         let Some(acting) = self.side.acting.get_mut(usize::from(level)) else { return };
         if *acting != Some(number) || self.host.is_stopped() {
@@ -119,14 +120,15 @@ impl ScriptRunner {
         self.tell(comm, ScriptInput::Acted { level, ok, value }, effects);
     }
 
-    /// Only time passes: what is due by now, such as the end of a lease, happens before anything else.
+    /// Lets time pass without any input: everything that is due by now, such as the end of a lease, happens before the
+    /// next input.
     pub fn catch_up(&mut self, comm: &mut Turn<'_>, effects: &mut Effects) {
         if !self.host.is_stopped() {
             self.let_time_pass(comm, effects);
         }
     }
 
-    /// The node stops: the script acts no more, and cancels what it asked.
+    /// The node stops: the script does nothing more, and cancels its requests.
     pub fn stop(&mut self, comm: &mut Turn<'_>, effects: &mut Effects) {
         if self.host.is_stopped() {
             return;
@@ -140,8 +142,8 @@ impl ScriptRunner {
         self.step(comm, Step { elapsed, input: Input::Request(Request::Cancel) }, effects);
     }
 
-    /// First the time passes, as a step of its own, to the next whole microsecond. So no request of this step has a
-    /// time before the beginning of its turn.
+    /// Lets time pass up to the next whole microsecond, as a step of its own. So no request of the next step has a time
+    /// before the beginning of its turn.
     fn let_time_pass(&mut self, comm: &mut Turn<'_>, effects: &mut Effects) -> u64 {
         let elapsed = comm.elapsed(time(comm, effects));
         if !elapsed.is_zero() {
@@ -151,7 +153,7 @@ impl ScriptRunner {
         comm.now()
     }
 
-    /// The script waits: shows this state of the cell to the watch, as checks see it.
+    /// The script waits. Shows this state of the cell to the watch, as checks see it.
     fn show(&self, comm: &Comm) {
         if let Some(watch) = &self.side.watch {
             let stands = Stands { script: &self.host.script, machine: comm.machine() };
@@ -159,7 +161,7 @@ impl ScriptRunner {
         }
     }
 
-    /// A fused step told the script something: it takes that when it next goes on.
+    /// A fused step has given a signal to the script. The script takes the signal when it next continues.
     #[inline]
     pub fn tell_later(&mut self, signal: Signal) {
         self.host.tell(ScriptInput::Signal(signal));
@@ -194,7 +196,7 @@ impl ScriptRunner {
         self.go_on(comm, effects);
     }
 
-    /// The script takes its inputs and all answers of its communication task, until it waits.
+    /// Lets the script take its inputs and all answers of its communication task, until it waits.
     pub fn go_on(&mut self, comm: &mut Turn<'_>, effects: &mut Effects) {
         self.host.count_anew();
         guarded("a script", || {
@@ -212,7 +214,7 @@ impl ScriptRunner {
     }
 }
 
-/// Where the signals of a fused step of two scripts go.
+/// The receiver of the signals of a fused step of two scripts.
 struct ToScripts<'a>(&'a mut ScriptHost);
 
 impl FusedSignals for ToScripts<'_> {
@@ -238,8 +240,8 @@ impl Side {
     }
 }
 
-/// The time of a step: that of the thread's turn at the script. For a task of a couple the clock is read each time, because the
-/// thread may have been stopped since its turn began (D153).
+/// The time of a step: the time of the thread's present turn for scripts. For a task of a couple the clock is read each
+/// time, because the thread may have been stopped since its turn began (D153).
 fn time(comm: &Comm, effects: &mut Effects) -> Micros {
     if comm.is_coupled() { clock::next() } else { effects.time_of_turn() }
 }
@@ -296,7 +298,7 @@ impl ScriptOutbox for Out<'_> {
     }
 
     fn ended(&mut self, end: End) {
-        // The other scripts of the node may take as many steps again, because only this one ran away.
+        // The other scripts of the node may take as many steps again, because only this script ran away.
         if matches!(end, End::Fault { fault: ScriptFault::Runaway, .. }) {
             self.effects.steps = 0;
         }

@@ -15,21 +15,21 @@ use std::time::{Duration, Instant};
 pub struct Results {
     /// The name of the action.
     pub name: String,
-    /// The range of the results.
+    /// The range of the action's results.
     pub give: Give,
 }
 
-/// A range of results: anything from the least to the most.
+/// A range of results: any value from the least to the greatest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Give {
-    /// Whole numbers, and truth values as 0 and 1.
+    /// A range of whole numbers; truth values are 0 and 1.
     Whole(i32, i32),
-    /// Finite reals.
+    /// A range of finite reals.
     Real(f32, f32),
 }
 
 impl Give {
-    /// A random value, a `real` by its bits.
+    /// A random value of the range; a `real` is given by its bits.
     fn any(self, draws: &mut fastrand::Rng) -> i32 {
         match self {
             Self::Whole(least, most) => draws.i32(least..=most.max(least)),
@@ -37,7 +37,7 @@ impl Give {
         }
     }
 
-    /// The value at `share` of the range, from the least (0) to the most (1); a `real` by its bits.
+    /// The value at `share` of the range, from the least value (0) to the greatest (1); a `real` is given by its bits.
     fn at(self, share: f64) -> i32 {
         match self {
             #[expect(clippy::cast_possible_truncation, reason = "between two numbers of 32 bits")]
@@ -55,25 +55,25 @@ impl Give {
     }
 }
 
-/// An action whose results depend on time: the least when `since` last ended in the same task, rising to the most after `over`,
-/// and the most from then on.
+/// An action whose results depend on time. When the action `since` ends in the same task, the result is the least
+/// value. It rises to the greatest value during `over`, and stays there.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Ramp {
     /// The action that gives the results.
     pub action: String,
     /// The action from whose end the time counts.
     pub since: String,
-    /// How long it takes from the least to the most.
+    /// How long the result takes to rise from the least to the greatest value.
     pub over: Duration,
 }
 
-/// A simulated robot. The seed, the name of the task and the number of actions that the task began before determine how long an
-/// action takes and what it gives.
+/// A simulated robot. The seed, the name of the task and the number of actions that the task began before determine how
+/// long an action takes and its result.
 pub struct Simulated {
     seed: u64,
     results: BTreeMap<String, Give>,
     courses: Vec<Ramp>,
-    /// By task and action that a ramp follows: when the action last ends.
+    /// For each task and each action on whose end a ramp depends: when that action last ends.
     followed: Mutex<BTreeMap<(String, String), Instant>>,
     shared: Arc<Shared>,
 }
@@ -103,8 +103,8 @@ pub(crate) fn salt(name: &str) -> u64 {
         .fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
 }
 
-/// The draws of a task's action with this number. One generator seeds the next: mixed by `^` alone, the actions of neighbouring
-/// seeds would draw the same numbers in another order.
+/// The draws of a task's action with this number. One generator seeds the next. If the seed and the number were only
+/// mixed by `^`, the actions of neighbouring seeds would draw the same numbers in another order.
 fn draws(seed: u64, task: &str, number: u64) -> fastrand::Rng {
     let mut of_task = fastrand::Rng::with_seed(seed ^ salt(task));
     fastrand::Rng::with_seed(of_task.u64(..) ^ number)
@@ -124,7 +124,7 @@ impl Simulated {
         Ok(Arc::new(Self { seed, results, courses, followed, shared }))
     }
 
-    /// How far the results of an action are on their ramp, from 0 to 1, if it has one.
+    /// How far the result of an action is on its ramp, from 0 to 1, if the action has a ramp.
     fn on_its_course(&self, act: &Act<'_>, now: Instant) -> Option<f64> {
         let ramp = self.courses.iter().find(|ramp| ramp.action == act.name)?;
         let followed = lock(&self.followed);
@@ -161,7 +161,7 @@ impl Actions for Simulated {
         let shared = Arc::clone(&self.shared);
         Some(Box::new(move || {
             let gone = shared.lock().under_way.remove(&key);
-            // Outside of the lock, because dropping the ending reports to the node.
+            // This is dropped without the lock, because dropping the ending reports to the node.
             drop(gone);
         }))
     }
@@ -196,7 +196,7 @@ fn run(shared: &Shared) {
             }
         }
     }
-    // Actions in progress are dropped outside of the lock.
+    // The actions in progress are dropped without the lock, because that reports to the node.
     let left = std::mem::take(&mut state.under_way);
     drop(state);
     drop(left);
@@ -227,7 +227,7 @@ mod tests {
         assert!((0..100).all(|_| (-3..=3).contains(&Give::Whole(-3, 3).any(&mut draws))));
         let real = |least, most, share| f32::from_bits(Give::Real(least, most).at(share).cast_unsigned());
         assert_eq!((real(-1.0, 3.0, 0.5), real(2.0, 2.0, 0.3)), (1.0, 2.0));
-        // No negative zero.
+        // The result is never a negative zero.
         assert_eq!(Give::Real(-0.0, -0.0).at(0.0), 0);
     }
 }

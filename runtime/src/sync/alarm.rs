@@ -1,7 +1,7 @@
 //! Decides when the Timer thread must wake: at the earliest expiry that no task's thread waits for (D40).
 //!
-//! Every machine of the node publishes its next expiry in a slot of its own. The Timer thread sleeps until the earliest slot.
-//! Only an earlier expiry wakes it, so a stream of messages with equal time_outs never does.
+//! Every machine of the node publishes its next expiry in a slot of its own. The Timer thread sleeps until the earliest
+//! slot. Only a still earlier expiry wakes that thread, so a stream of messages with equal time_outs never wakes it.
 
 use crate::clock::{FAR, Micros, nanos_of};
 use crate::sync::handoff::Rest;
@@ -21,10 +21,10 @@ pub(crate) struct Alarm<P = Sound> {
 /// The bugs that the explorers must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
-    /// While the Timer thread reads the slots, the old target stays in force, so that a new expiry does not
-    /// call the thread.
+    /// While the Timer thread reads the slots, the old target stays in force, so that a new expiry does not wake the
+    /// thread.
     NoOpenTarget,
-    /// No fence orders a slot and the target.
+    /// No fence orders the accesses to a slot and to the target.
     NoFence,
     /// `closing` is checked before `rung` is read.
     EndBeforeRung,
@@ -50,7 +50,8 @@ impl<P: Plants<Plant>> Alarm<P> {
         Self { slots, target: AtomicU64::new(FAR), rung: Word::new(0), plant }
     }
 
-    /// Publishes when `slot` next expires. Called under the lock of that machine, so the last store is the newest value.
+    /// Publishes when the machine of `slot` next expires. Called under the lock of that machine, so the last store is
+    /// the newest value.
     pub fn publish(&self, slot: usize, at: Micros) {
         let slot = &self.slots[slot].0;
         if slot.load(Ordering::Relaxed) == at {
@@ -60,7 +61,8 @@ impl<P: Plants<Plant>> Alarm<P> {
         if at == FAR {
             return;
         }
-        // Pairs with the fence in `earliest`: either its loads see this slot, or this load sees its `FAR` or a later target.
+        // This fence pairs with the fence in `earliest`: either the loads there see this slot, or the load here sees
+        // the target `FAR` or a later target.
         self.fence();
         if at < self.target.load(Ordering::Relaxed) {
             self.ring();
@@ -72,7 +74,7 @@ impl<P: Plants<Plant>> Alarm<P> {
         self.slots[slot].0.load(Ordering::Relaxed)
     }
 
-    /// The earliest of all slots, as the Timer thread last saw them.
+    /// The earliest expiry of all slots when the Timer thread last read them.
     pub fn target(&self) -> Micros {
         self.target.load(Ordering::Relaxed)
     }
@@ -83,10 +85,11 @@ impl<P: Plants<Plant>> Alarm<P> {
         self.rung.wake();
     }
 
-    /// The earliest of all slots; only the Timer thread calls this. From here on, any earlier expiry wakes that thread.
+    /// Returns the earliest expiry of all slots; only the Timer thread calls this. From here on, publishing any earlier
+    /// expiry wakes that thread.
     pub fn earliest(&self) -> Earliest {
         let rung = self.rung.load();
-        // While the slots are read, the target is `FAR`, so whatever is published rings.
+        // While the slots are read, the target is `FAR`, so publishing any expiry increments `rung`.
         if !self.plant.has(Plant::NoOpenTarget) {
             self.target.store(FAR, Ordering::Relaxed);
         }
@@ -96,9 +99,10 @@ impl<P: Plants<Plant>> Alarm<P> {
         Earliest { at, rung }
     }
 
-    /// Sleeps until something expires that no task's thread waits for, and returns the time then. Only the Timer thread calls
-    /// this. It wakes `tail` early and spins from there on. If the first expiry is nearer than that, it sleeps for it, so that it
-    /// gives up its core between any two. `None` as soon as `closing` is true; the thread that makes it true rings afterwards.
+    /// Sleeps until an expiry that no task's thread waits for, and returns the time then. Only the Timer thread calls
+    /// this. The thread wakes `tail` early and spins for the rest. If the first expiry is nearer than `tail`, the
+    /// thread sleeps until it, so that it gives up its core between any two expiries. Returns `None` as soon as
+    /// `closing` is true; the thread that sets `closing` calls `ring` afterwards.
     pub fn next(
         &self,
         tail: Micros,
@@ -133,7 +137,8 @@ impl<P: Plants<Plant>> Alarm<P> {
         }
     }
 
-    /// Spins until then, or until rung. It does not read the slots, because publishing an earlier expiry rings.
+    /// Spins until the given expiry, or until `ring` is called. This does not read the slots, because publishing an
+    /// earlier expiry calls `ring`.
     fn look(&self, until: Earliest, clock: impl Fn() -> Micros) {
         while self.rung.load() == until.rung && clock() < until.at {
             std::hint::spin_loop();
@@ -146,28 +151,29 @@ impl<P: Plants<Plant>> Alarm<P> {
         }
     }
 
-    /// Sleeps until then, or until rung. Without an expiry it sleeps until rung.
+    /// Sleeps until the given expiry, or until `ring` is called. Without an expiry it sleeps until `ring` is called.
     pub fn sleep(&self, until: Earliest) {
         self.rung.wait(until.rung, nanos_of(until.at));
     }
 }
 
-/// Which thread covers the deadlines of one machine: its task's thread if that sleeps at most until the next expiry, else the
-/// Timer thread. Changed only under the lock of that machine.
+/// Which thread takes care of the expiries of one machine: its task's thread, if that sleeps at most until the next
+/// expiry; else the Timer thread. Changed only under the lock of that machine.
 #[derive(Debug)]
 pub(crate) struct Cover {
     slot: usize,
-    /// Until when the task's thread sleeps.
+    /// The instant until which the task's thread sleeps.
     until: Option<Micros>,
-    /// For the test that must fail: any sleep covers any expiry.
+    /// A planted bug that a test must find: every sleep of the task's thread counts as early enough for every expiry.
     #[cfg(test)]
     pub covers_all: bool,
-    /// For the tests that must fail: whatever stands published stays, or all that is not yet over.
+    /// A planted bug that tests must find: the published expiry stays in all cases, or in all cases in which it is not
+    /// yet over.
     #[cfg(test)]
     pub keeps: Option<Keeps>,
 }
 
-/// What a [`Cover`] with a bug keeps.
+/// Which published expiry a [`Cover`] with a planted bug keeps.
 #[cfg(test)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Keeps {
@@ -187,10 +193,10 @@ impl Cover {
         }
     }
 
-    /// As [`settle`](Self::settle), for a machine whose expiries only the Timer thread covers, and which stands at `now`. What is
-    /// published stays if it is still to come and no later than `due`. So requests that are answered in time publish once in a
-    /// time_out, and call the Timer thread no more often. That thread may then come too early; the machine, which it advances,
-    /// publishes `due`.
+    /// As [`settle`](Self::settle), for a machine whose expiries only the Timer thread serves, and whose present is
+    /// `now`. The published expiry stays if it is still to come and not later than `due`. So requests that are answered
+    /// in time publish only once in a time_out, and wake the Timer thread no more often. The Timer thread may then come
+    /// too early. It advances the machine, which publishes `due`.
     pub fn keep<P: Plants<Plant>>(&self, alarm: &Alarm<P>, now: Micros, due: Micros) {
         let published = alarm.slot(self.slot);
         let (comes, serves) = (now < published, published <= due);
@@ -203,8 +209,8 @@ impl Cover {
         }
     }
 
-    /// The machine next expires at `due`, and its task's thread does `rest`. Publishes `due`, unless the thread's sleep covers
-    /// it.
+    /// The machine next expires at `due`, and its task's thread does `rest`. Publishes `due`, unless the task's thread
+    /// wakes by then.
     pub fn settle<P: Plants<Plant>>(&mut self, alarm: &Alarm<P>, rest: Rest, due: Micros) {
         match rest {
             Rest::No => self.until = None,

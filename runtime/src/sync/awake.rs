@@ -1,22 +1,23 @@
-//! Spinning before sleeping: a thread that expects a short wait checks its word for a while before it sleeps (D110).
+//! Spinning before sleeping: a thread that expects a short wait checks its futex word repeatedly for a while before it
+//! sleeps (D110).
 //!
-//! Whether it spins depends on three things: how long such waits took lately, how often spinning failed, and whether another
-//! thread needs its core. They affect only speed.
+//! Whether a thread spins depends on three things: how long its last waits of that kind took, how often spinning
+//! failed, and whether another thread needs its core. They affect only speed.
 
 use crate::clock::{self, FAR, Micros};
 use imrs_protocol::Request;
 use rustix::thread::{CpuSet, sched_getaffinity};
 use std::sync::atomic::{AtomicI16, AtomicIsize, AtomicU16, Ordering};
 
-/// How many threads of this process's tasks run, or are about to because another thread woke them.
+/// How many threads of this process's tasks run, or are about to run because another thread woke them.
 static AWAKE: AtomicIsize = AtomicIsize::new(0);
-/// For each core, how many of the running threads of tasks may use only this core.
+/// For each core, how many of the running threads of tasks may use only that core.
 static BOUND: [AtomicI16; CpuSet::MAX_CPU] = [const { AtomicI16::new(0) }; CpuSet::MAX_CPU];
 /// The thread may use several cores.
 const ANY: u16 = u16::MAX;
 
-/// Whether a task's thread runs, visible to all other threads. The thread counts itself out when it goes. The thread that wakes
-/// it counts it back; if no thread did, it counts itself back.
+/// Whether a task's thread runs, visible to all other threads. Before the thread waits, it subtracts itself from
+/// `AWAKE`. The thread that wakes it adds it again; if it wakes without another thread, it adds itself.
 #[derive(Debug)]
 pub(crate) struct ThreadState {
     /// The only core that the thread may use, or `ANY`. Only the thread itself changes it, while it runs.
@@ -43,7 +44,8 @@ impl ThreadState {
         }
     }
 
-    /// Sets the only core of the calling thread, if it has just one. This must be the calling thread's own state.
+    /// Sets the only core that the calling thread may use, if there is just one. `self` must be the state of the
+    /// calling thread.
     fn keeps_to(&self, core: Option<u16>) {
         self.goes();
         self.core.store(core.unwrap_or(ANY), Ordering::Relaxed);
@@ -60,7 +62,7 @@ pub(crate) fn quota() -> isize {
     if known != UNKNOWN {
         return known;
     }
-    // `available_parallelism` returns the lesser of this thread's cores and the limit.
+    // `available_parallelism` returns the lesser of two numbers: the cores of this thread and the limit of the process.
     let lesser = std::thread::available_parallelism().map_or(1, usize::from);
     let cores = sched_getaffinity(None).map_or(1, |set| set.count() as usize);
     let quota = if lesser < cores { isize::try_from(lesser).unwrap_or(isize::MAX) } else { isize::MAX };
@@ -68,7 +70,7 @@ pub(crate) fn quota() -> isize {
     quota
 }
 
-/// The cores of a thread.
+/// The cores that a thread may use.
 #[derive(Clone, Copy, Debug)]
 struct Cores {
     /// How many task threads may run at once before one of them lacks a core.
@@ -87,7 +89,7 @@ impl Cores {
         Self { most: if only.is_some() { quota() } else { count.min(quota()) }, only }
     }
 
-    /// Whether no other thread needs the core that the calling thread runs on.
+    /// Whether no other thread needs the core on which the calling thread runs.
     fn free(self) -> bool {
         let bound = self.only.and_then(|core| BOUND.get(usize::from(core)));
         AWAKE.load(Ordering::Relaxed) <= self.most
@@ -95,7 +97,7 @@ impl Cores {
     }
 }
 
-/// Which kind of wait, among those that another thread can end soon.
+/// The kinds of waits that another thread can end soon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
     Answers,
@@ -115,10 +117,10 @@ impl Kind {
     }
 }
 
-/// Spin history of one kind of wait.
+/// The spin history of one kind of wait.
 #[derive(Clone, Copy, Debug)]
 struct SpinHistory {
-    /// Whether the last wait was brief: what ended it came within the budget, however late the thread noticed.
+    /// Whether the last wait was brief: the event that ended it came within the spin budget, however late the thread noticed.
     brief: bool,
     /// How much more often spinning failed than succeeded, at most [`Self::MOST`].
     vain: u32,
@@ -128,8 +130,8 @@ struct SpinHistory {
 
 impl SpinHistory {
     const MOST: u32 = 10;
-    /// How many waits that are not brief pass before the thread spins all the same. Two ends that both sleep wake each other so
-    /// late that no wait would ever be brief.
+    /// How many waits that are not brief pass before the thread spins nevertheless. Two threads that both sleep wake
+    /// each other so late that no wait would ever be brief.
     const UNLIKELY: u32 = 63;
     const NEW: Self = Self { brief: false, vain: 0, pause: Self::UNLIKELY };
 
@@ -160,7 +162,7 @@ impl SpinHistory {
     }
 }
 
-/// Spin policy of a task's thread: whether, and for how long, it spins before it sleeps.
+/// The spin policy of a task's thread: whether, and for how long, it spins before it sleeps.
 #[derive(Debug)]
 pub(crate) struct SpinPolicy {
     /// For how long the thread spins before it sleeps.
@@ -171,20 +173,20 @@ pub(crate) struct SpinPolicy {
 }
 
 impl SpinPolicy {
-    /// How many checks share one reading of the clock.
+    /// How many checks of the word share one reading of the clock.
     const LOOKS: u32 = 16;
 
     pub fn new(budget: Micros) -> Self {
         Self { budget, cores: None, histories: [SpinHistory::NEW; 3] }
     }
 
-    /// Records that what ended a wait of this kind came after this time.
+    /// Records after which time the event came that ended a wait of this kind.
     pub fn learn(&mut self, kind: Kind, after: Micros) {
         self.histories[kind as usize].ended(after <= self.budget);
     }
 
-    /// Spins, where that pays, until `there` returns true: at most for the budget, and not beyond `until`. Returns whether it
-    /// did.
+    /// Spins, if that is likely to pay, until `there` returns true: at most for the budget, and not beyond `until`.
+    /// Returns whether `there` returned true.
     pub fn look(
         &mut self,
         kind: Kind,
@@ -241,7 +243,7 @@ mod tests {
         SpinPolicy { cores: Some(cores), ..SpinPolicy::new(200) }
     }
 
-    /// In how many of `waits` waits, which nothing ends, the thread spins.
+    /// In how many of `waits` waits the thread spins, if no event ends any of them.
     fn tried(policy: &mut SpinPolicy, waits: u32) -> u32 {
         let thread_state = ThreadState::new();
         let mut tried = 0;

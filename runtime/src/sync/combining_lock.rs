@@ -1,5 +1,5 @@
-//! A combining lock that no thread waits for: a thread sets `wanted` and tries the lock. If the lock is taken, its holder does
-//! the work, because the holder rechecks `wanted` after unlocking.
+//! A combining lock, for which no thread waits: a thread sets `wanted` and tries the lock. If the lock is taken, its
+//! holder does the work, because the holder rechecks `wanted` after unlocking.
 
 use crate::sync::plant::{Plants, Sound};
 use crate::sync::{AtomicBool, Mutex, MutexGuard, Ordering, fence, lock, try_lock};
@@ -15,7 +15,7 @@ pub(crate) struct CombiningLock<T, P = Sound> {
 pub(crate) enum Plant {
     /// The holder does not recheck `wanted` after unlocking.
     LeavesBlindly,
-    /// No fence orders `wanted` and the lock.
+    /// No fence orders the accesses to `wanted` and to the lock.
     NoFence,
 }
 
@@ -31,23 +31,24 @@ impl<T, P: Plants<Plant>> CombiningLock<T, P> {
         Self { wanted: AtomicBool::new(false), inside: Mutex::new(inside), plant }
     }
 
-    /// Declares that there is work. The caller must have written the work itself before.
+    /// Declares that there is work for the lock's holder. The caller must have stored the work itself before.
     pub fn want(&self) {
-        // A swap, not a store: it continues the release sequence of earlier swaps, so the swap in `take` acquires all their work.
+        // This is a swap, not a store: it continues the release sequence of earlier swaps, so the swap in `take`
+        // acquires the work of all of them.
         self.wanted.swap(true, Ordering::AcqRel);
     }
 
-    /// The lock itself, unless another thread holds it. After it has dropped the guard, the caller must call
-    /// [`take`](Self::take), because other threads may have left work for it meanwhile.
+    /// Takes the lock, unless another thread holds it. After the caller has dropped the guard, it must call
+    /// [`take`](Self::take), because other threads may have left work for it.
     pub fn enter(&self) -> Option<MutexGuard<'_, T>> {
         try_lock(&self.inside)
     }
 
-    /// Works until no work is wanted. If another thread holds the lock, leaves the work to it.
+    /// Works until no more work is wanted. If another thread holds the lock, leaves the work to that thread.
     pub fn take(&self, mut work: impl FnMut(&mut T)) {
         loop {
-            // Pairs with this fence in another thread: before it, `want` writes `wanted` and a holder unlocks. So either this
-            // `try_lock` sees the unlock, or the holder's load sees `wanted`.
+            // This fence pairs with the same fence in another thread: before it, `want` writes `wanted` and a holder
+            // unlocks. So either this `try_lock` sees the unlock, or the holder's load sees `wanted`.
             self.fence();
             if !self.wanted.load(Ordering::Relaxed) {
                 return;

@@ -1,10 +1,10 @@
 //! The hand-off between threads and one domain of communication tasks: a combining lock with an inbox (D39, D40, D186).
 //!
-//! A communication task is a data structure, run by the thread that brings input. There are two ways to call it:
+//! A communication task is a data structure, and the thread that brings input runs it. There are two ways to call it:
 //!
-//! - [`Handoff::deliver`] is for every thread. If the lock is free, the thread takes it and works for all (flat combining). If
-//!   not, it leaves the input in the [`Inbox`] and goes on. The holder rechecks the inbox after unlocking, so nothing stays
-//!   behind.
+//! - [`Handoff::deliver`] is for every thread. If the lock is free, the thread takes it and works for all threads (flat
+//!   combining). If not, the thread leaves its input in the [`Inbox`] and goes on. The holder rechecks the inbox after
+//!   unlocking, so no input stays behind.
 //! - [`Handoff::enter_and`] is for the task's own thread, which needs the answer.
 //!
 //! The answer (`Completion`) is written under the lock, together with the word on which the task's thread [waits](Waiting). While
@@ -40,7 +40,7 @@ struct Core<S: Protected> {
 }
 
 impl<S: Protected> Handoff<S> {
-    /// `waker` wakes the task's thread where it waits elsewhere ([`go_away`](Self::go_away)).
+    /// Makes the hand-off. `waker` wakes the task's thread when it does not wait on its word ([`go_away`](Self::go_away)).
     pub fn new(protected: S, waker: Option<Arc<dyn ThreadWaker>>) -> Self {
         Self::planted(protected, waker, Sound)
     }
@@ -108,7 +108,7 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         self.second_look(effects);
     }
 
-    /// Enters the input once, as [`enter_and`](Self::enter_and) does.
+    /// Brings one input from the task's own thread, as [`enter_and`](Self::enter_and) does.
     #[cfg(test)]
     pub fn enter(&self, input: S::Input, effects: &mut S::Effects) -> Entry<S::Completion> {
         self.enter_and(input, |_| None, effects)
@@ -176,9 +176,9 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         Entry { completion, stopped, until }
     }
 
-    /// As [`enter_and`](Self::enter_and), for one of several tasks that are behind this hand-off. None of them rests, and their
-    /// answers are in the protected state. `work` takes the answer that is there, or brings the input. Also returns whether the
-    /// node stops.
+    /// As [`enter_and`](Self::enter_and), for one of several tasks that share this hand-off. No thread of these tasks
+    /// sleeps here, and their answers are in the protected state. `work` takes the answer that is there, or brings the
+    /// input. Also returns whether the node stops.
     pub fn enter_shared<R>(
         &self,
         work: impl FnOnce(&mut S, &mut S::Effects) -> R,
@@ -194,13 +194,13 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         (done, stopped)
     }
 
-    /// Sleeps until there is an answer, the node stops, or `deadline` (nanoseconds of the monotonic clock) passes. Wake-ups may
-    /// be spurious, so the caller enters again and checks. Returns false, without sleeping, if there was something already.
+    /// Sleeps until there is an answer, the node stops, or `deadline` (nanoseconds of the monotonic clock) passes. Wake-ups may be
+    /// spurious, so the caller enters again and checks. Returns false, without sleeping, if there was an answer or input already.
     pub fn sleep(&self, deadline: Option<u64>) -> bool {
         self.waiting.sleep(deadline, || self.has_left())
     }
 
-    /// Whether there is something for the task's thread, or the node stops. The thread may check this before it sleeps.
+    /// Whether there is an answer or input for the task's thread, or the node stops. The thread may check this before it sleeps.
     pub fn is_called(&self) -> bool {
         self.waiting.is_ready()
     }
@@ -210,9 +210,9 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         !self.inbox.is_empty()
     }
 
-    /// Spins until something ends the wait of the task's thread: `look` calls its argument as long as spinning pays.
-    /// From the first call on, others leave their input to this thread. `take_in` receives what may have come
-    /// elsewhere. Returns whether there is something.
+    /// Spins until an event ends the wait of the task's thread: `look` calls its argument as long as spinning pays.
+    /// From the first such call on, other threads leave their input to this thread. `take_in` receives from the link.
+    /// Returns whether there is an answer or input for the thread.
     pub fn look(
         &self,
         mut take_in: impl FnMut() -> bool,
@@ -240,7 +240,7 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         self.second_look(effects);
     }
 
-    /// Notes that the task's thread never enters again: others leave no input for it any more.
+    /// Notes that the task's thread never enters again, so that other threads leave no input for it any more.
     pub fn end(&self, effects: &mut S::Effects) {
         self.waiting.ready();
         self.second_look(effects);
@@ -251,7 +251,7 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         self.second_look(effects);
     }
 
-    /// Changes the protected state in a way that may lead to work, from any thread.
+    /// Changes the protected state, from any thread, in a way that may cause work.
     pub fn visit(&self, visit: impl FnOnce(&mut S, &mut S::Effects), effects: &mut S::Effects) {
         // The inbox is drained first: its input may lead to an answer, and only `work` marks the word.
         self.second_look(effects);
@@ -264,7 +264,7 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         self.second_look(effects);
     }
 
-    /// Looks at the protected state under its lock, after draining the inbox.
+    /// Calls `look` with the protected state under its lock, after draining the inbox.
     pub fn with<R>(&self, look: impl FnOnce(&mut S) -> R, effects: &mut S::Effects) -> R {
         let mut core = lock(&self.core);
         let seen = if self.inbox.is_empty() {
@@ -289,8 +289,8 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         self.waiting.time_out();
     }
 
-    /// Puts input into the inbox without taking the lock, or returns it if the inbox is full. The next thread that enters takes
-    /// the input; [`wake`](Self::wake) makes sure that one does.
+    /// Puts input into the inbox without taking the lock, or returns it if the inbox is full. The next thread that
+    /// enters takes the input; [`wake`](Self::wake) makes sure that a thread does.
     pub fn leave(&self, input: S::Input) -> Result<(), S::Input> {
         self.inbox.leave(input).map(|_| ())
     }
@@ -328,7 +328,7 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         let done = then(&mut core.protected);
         let rest = if core.resting { Rest::GoesOn } else { Rest::No };
         core.protected.settle(rest, effects);
-        // The word is marked last, because a spinning thread of the task then wants the lock at once.
+        // The word is marked last, because a spinning thread of the task tries to take the lock as soon as it sees the mark.
         let was = if new_completion { self.waiting.mark() } else { Was::RUNNING };
         drop(core);
         self.waiting.call(was);
@@ -343,9 +343,9 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         }
     }
 
-    /// Drains the inbox of input that was left while the lock was taken. The fence pairs with the one of another thread here: one
-    /// that leaves input stores the inbox count before it and tries the lock after it. The holder unlocks before it and loads the
-    /// count after it. So either that thread gets the lock, or the holder sees the input.
+    /// Drains the inbox of input that was left while the lock was taken. The fence pairs with the same fence in another thread. A
+    /// thread that leaves input stores the inbox count before its fence and tries the lock after it. The holder unlocks before
+    /// its fence and loads the count after it. So either the first thread gets the lock, or the holder sees the input.
     fn second_look(&self, effects: &mut S::Effects) {
         if self.has(Plant::NoSecondLook) {
             return;

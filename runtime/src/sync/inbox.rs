@@ -181,7 +181,7 @@ impl<I: Slotted, P: Plants<Plant>> Inbox<I, P> {
         &self.slots[(before % ROOM) as usize]
     }
 
-    /// Notes that the task's thread has entered, and so takes all inputs that are there.
+    /// Notes that the task's own thread takes all inputs of the inbox.
     pub fn come_in(&self) {
         self.set_entered(true);
     }

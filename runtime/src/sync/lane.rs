@@ -1,8 +1,8 @@
-//! A single-producer, single-consumer ring of fixed size, without locks and without waiting. A record that finds no
-//! room is not taken.
+//! A ring of fixed size for one producer and one consumer, without locks and without waiting. A record for which there
+//! is no room is not taken.
 //!
-//! A record is several slots in a row. They are filled one by one and published together ([`Fill::publish`]), so the consumer
-//! finds only whole records.
+//! A record consists of one or more slots in a row. The producer fills the slots one by one and publishes them together
+//! ([`Fill::publish`]), so the consumer finds only whole records.
 
 use crate::sync::plant::{Plants, Sound};
 use crate::sync::{AtomicU64, AtomicUsize, Ordering};
@@ -12,7 +12,7 @@ use std::sync::Arc;
 #[repr(align(64))]
 struct Slot<const WORDS: usize>([AtomicU64; WORDS]);
 
-/// What both ends share, in slots of `WORDS` words.
+/// The state that producer and consumer share, in slots of `WORDS` words.
 struct Lane<const WORDS: usize, P> {
     slots: Box<[Slot<WORDS>]>,
     /// How many slots the producer has ever published.
@@ -25,24 +25,24 @@ struct Lane<const WORDS: usize, P> {
 /// The bugs that the explorers must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
-    /// Slots are published before they are filled.
+    /// The producer publishes slots before it fills them.
     ShownFirst,
-    /// Slots are given back before they are read.
+    /// The consumer gives slots back before it reads them.
     GivenBackFirst,
-    /// No release orders `filled` after the words in the slots.
+    /// The store to `filled` has no release ordering after the words in the slots.
     NoRelease,
 }
 
-/// The producer's end.
+/// The producer's end of a lane.
 pub(crate) struct Fill<const WORDS: usize, P = Sound> {
     lane: Arc<Lane<WORDS, P>>,
     /// How many slots the producer has filled.
     at: usize,
-    /// Up to this number slots are known to be free, without another look at `emptied`.
+    /// Slots up to this number are known to be free, without loading `emptied` again.
     free: usize,
 }
 
-/// The consumer's end.
+/// The consumer's end of a lane.
 pub(crate) struct Drain<const WORDS: usize, P = Sound> {
     lane: Arc<Lane<WORDS, P>>,
     /// How many slots the consumer has emptied.
@@ -54,7 +54,7 @@ pub(crate) fn lane<const WORDS: usize>(slots: usize) -> (Fill<WORDS>, Drain<WORD
     used_lane(slots, 0, Sound)
 }
 
-/// A lane through which `at` slots have gone before, with a bug. The counters wrap around.
+/// A lane through which `at` slots have gone before, with a planted bug if there is one. The counters wrap around.
 pub(crate) fn used_lane<const WORDS: usize, P>(
     slots: usize,
     at: usize,
@@ -77,7 +77,7 @@ impl<const WORDS: usize, P> Lane<WORDS, P> {
 }
 
 impl<const WORDS: usize, P: Plants<Plant>> Fill<WORDS, P> {
-    /// Whether there is room for so many slots. Calls `crowded` now and then while at least a quarter is used.
+    /// Whether there is room for this many slots. Calls `crowded` once in a while if at least a quarter of the lane is used.
     #[inline]
     pub fn has_room(&mut self, slots: usize, crowded: impl FnOnce()) -> bool {
         self.free.wrapping_sub(self.at) >= slots || self.look(slots, crowded)
@@ -90,13 +90,13 @@ impl<const WORDS: usize, P: Plants<Plant>> Fill<WORDS, P> {
             crowded();
         }
         let room = self.lane.slots.len() - used;
-        // Only a part of the room is noted, so that the next look at `emptied` comes early enough to report
+        // `free` counts only a part of the free slots, so that `emptied` is loaded again early enough to report
         // crowding.
         self.free = self.at.wrapping_add(room.min(quarter.max(slots)));
         room >= slots
     }
 
-    /// Whether half of it is free.
+    /// Whether half of the lane is free.
     pub fn is_half_free(&self) -> bool {
         self.used() <= self.lane.slots.len() / 2
     }
@@ -117,7 +117,7 @@ impl<const WORDS: usize, P: Plants<Plant>> Fill<WORDS, P> {
         self.at = self.at.wrapping_add(1);
     }
 
-    /// Publishes what was filled. The release pairs with the acquire in [`Drain::filled`].
+    /// Publishes the filled slots. The release pairs with the acquire in [`Drain::filled`].
     #[inline]
     pub fn publish(&mut self) {
         if self.lane.plant.has(Plant::NoRelease) {
@@ -133,7 +133,7 @@ impl<const WORDS: usize, P: Plants<Plant>> Drain<WORDS, P> {
         self.lane.filled.load(Ordering::Acquire)
     }
 
-    /// The next slot, or `None` at `until`.
+    /// Reads the next slot; `None` if it is the slot `until`.
     pub fn next(&mut self, until: usize) -> Option<[u64; WORDS]> {
         if self.at == until {
             return None;
@@ -147,7 +147,7 @@ impl<const WORDS: usize, P: Plants<Plant>> Drain<WORDS, P> {
         Some(words)
     }
 
-    /// Gives back the slots that were read. The release pairs with the acquire in `Fill::used`.
+    /// Gives back the slots that the consumer has read. The release pairs with the acquire in `Fill::used`.
     pub fn give_back(&self) {
         self.lane.emptied.store(self.at, Ordering::Release);
     }

@@ -1,30 +1,32 @@
 //! Leader and followers (D40). One thread at a time, of a task or of the futures, waits in the link itself and receives
-//! for the node. It finds its own answer without a wake-up; the others sleep on their words. A leader that stops need
-//! not inform another thread: while no thread leads, the kernel reports every datagram to the node's receiving thread.
+//! for the node. This thread, the leader, finds its own answer without a wake-up; the other threads sleep on their
+//! futex words. A leader that stops need not inform another thread: while no thread leads, the kernel reports every
+//! datagram to the node's receiving thread.
 //!
-//! While a thread leads, the kernel reports a datagram to that thread alone. So the leader receives the reported
-//! datagram before it checks whether its wait is over.
+//! While a thread leads, the kernel reports a datagram to that thread alone. So the leader receives a reported datagram
+//! before it checks whether its own wait is over.
 
 use crate::sync::plant::{Plants, Sound};
 use crate::sync::{AtomicBool, Ordering};
 
 /// How another thread wakes the leader from its wait in the link.
 pub(crate) trait Away {
-    /// The thread is about to wait in the link: from now on a call wakes it there. False if it was called already.
+    /// The thread is about to wait in the link: from now on a call wakes it there. Returns false if the thread was
+    /// called already.
     fn go_away(&self) -> bool;
 
-    /// The thread is back. False if it was called meanwhile.
+    /// The thread is back from its wait in the link. Returns false if the thread was called during the wait.
     fn come_home(&self) -> bool;
 }
 
 /// Why a wait in the link ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Came {
-    /// Something came in.
+    /// A datagram arrived, or the link has another event.
     Something,
-    /// The leader was called, or a part of the wait is over.
+    /// The leader was called, or only a part of the wait's time is over.
     Nothing,
-    /// The time is over.
+    /// The time of the wait is over.
     Time,
 }
 
@@ -35,7 +37,7 @@ pub(crate) enum Led {
     ToTheEnd,
     /// The thread led, and another thread ended its wait.
     Called,
-    /// The thread did not lead, or not to the end: others receive, and this thread sleeps.
+    /// The thread did not lead, or not until its wait was over: other threads receive, and this thread sleeps.
     No,
 }
 
@@ -64,8 +66,8 @@ impl<P: Plants<Plant>> Lead<P> {
         Self { taken: AtomicBool::new(false), plant }
     }
 
-    /// Waits in the link until `away` is called, unless another thread leads. `take_in` receives what `wait` reported.
-    /// It returns false if another thread is receiving already; that thread then receives this, too.
+    /// Waits in the link until `away` is called, unless another thread leads. `take_in` receives the datagrams that `wait`
+    /// reported. It returns false if another thread is receiving already; that thread then receives these datagrams, too.
     pub fn wait(
         &self,
         away: &impl Away,

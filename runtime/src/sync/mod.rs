@@ -1,5 +1,5 @@
-//! The primitives of the hand-offs between threads: locks, atomics and a futex word. Unit tests use those of `crate::explorer`,
-//! which explores schedules. Tests with real threads live in `tests/` and use the real primitives.
+//! The primitives of the hand-offs between threads: locks, atomics and a futex word. Unit tests use the primitives of
+//! `crate::explorer`, which explores schedules. Tests with real threads live in `tests/` and use the real primitives.
 
 pub(crate) mod alarm;
 pub(crate) mod awake;
@@ -21,7 +21,7 @@ pub(crate) use crate::explorer::{
 };
 #[cfg(test)]
 use crate::explorer::{Condvar, PlainMutex};
-/// A panic under one of these locks has ended the process (D43), so none is ever poisoned.
+/// A panic of a thread that holds one of these locks ends the process (D43), so none of these locks is ever poisoned.
 #[cfg(not(test))]
 pub(crate) use crate::lock::lock;
 #[cfg(not(test))]
@@ -36,7 +36,7 @@ pub(crate) use std::sync::{
 mod real {
     use std::sync::{Mutex, MutexGuard, TryLockError};
 
-    /// Locks if no thread holds the lock.
+    /// Takes the lock if no thread holds it.
     pub(crate) fn try_lock<T>(mutex: &Mutex<T>) -> Option<MutexGuard<'_, T>> {
         match mutex.try_lock() {
             Ok(guard) => Some(guard),
@@ -80,12 +80,12 @@ impl Word {
         self.value.swap(value, Ordering::AcqRel)
     }
 
-    /// Adds one, around the wrap.
+    /// Adds one to the word; the word wraps around.
     pub fn increment(&self) {
         self.value.fetch_add(1, Ordering::AcqRel);
     }
 
-    /// Replaces `current` by `new`. Returns whether `current` was there.
+    /// Replaces `current` by `new`. Returns whether the word was `current`.
     pub fn replace(&self, current: u32, new: u32) -> bool {
         self.value.compare_exchange(current, new, Ordering::AcqRel, Ordering::Acquire).is_ok()
     }
@@ -98,7 +98,7 @@ impl Word {
     pub fn wait(&self, value: u32, deadline: Option<u64>) {
         use rustix::thread::futex;
         let timespec = deadline.map(crate::clock::timespec);
-        // Interrupted, timed out or changed meanwhile: the caller checks the word in every case.
+        // The call was interrupted, timed out, or the word has changed: the caller checks the word in every case.
         let any = std::num::NonZeroU32::MAX;
         let _ = futex::wait_bitset(&self.value, futex::Flags::PRIVATE, value, timespec.as_ref(), any);
     }
@@ -112,7 +112,7 @@ impl Word {
 
 #[cfg(test)]
 impl Word {
-    /// An explorer has no time: a deadline never passes by itself, see [`time_out`](Self::time_out).
+    /// An explorer has no time, so a deadline never passes by itself: see [`time_out`](Self::time_out).
     pub fn wait(&self, value: u32, _deadline: Option<u64>) {
         let guard = self.sleeper.0.lock().unwrap();
         if self.load() == value {

@@ -1,4 +1,5 @@
-//! Where the thread of the node's futures waits: asleep, or away, that is in the link (D127). Every waker of a future calls it.
+//! How the thread that runs the node's futures waits: it sleeps, or it waits in the link (D127). Every waker of a
+//! future wakes this thread.
 
 use crate::sync::Word;
 use crate::sync::handoff::ThreadWaker;
@@ -10,9 +11,9 @@ use std::sync::Arc;
 const RUNNING: u32 = 0;
 /// The thread sleeps, or is about to.
 const SLEEPING: u32 = 1;
-/// The thread was called: a future is ready to be polled.
+/// The thread was called, because a future is ready to be polled.
 const CALLED: u32 = 2;
-/// The thread waits in the link, or is about to: the waker wakes it.
+/// The thread waits in the link, or is about to: then `waker` wakes it.
 const AWAY: u32 = 3;
 
 pub(crate) struct Park<P = Sound> {
@@ -24,14 +25,14 @@ pub(crate) struct Park<P = Sound> {
 /// The bugs that the explorers must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
-    /// The thread parks although it was called after its last poll.
+    /// The thread waits although it was called after its last poll.
     GoesBlindly,
-    /// A thread that is away is not woken.
+    /// A thread that waits in the link is not woken.
     NoWaker,
 }
 
 impl Park {
-    /// `waker` wakes the thread while it is away.
+    /// Makes the state of a running thread. `waker` wakes the thread while it waits in the link.
     pub fn new(waker: Option<Arc<dyn ThreadWaker>>) -> Self {
         Self::planted(waker, Sound)
     }
@@ -43,7 +44,7 @@ impl<P: Plants<Plant>> Park<P> {
         Self { word: Word::new(RUNNING), waker, plant }
     }
 
-    /// Says that a future is ready to be polled, and wakes the thread.
+    /// Notes that a future is ready to be polled, and wakes the thread.
     pub fn call(&self) {
         match self.word.swap(CALLED) {
             SLEEPING => self.word.wake(),
@@ -53,17 +54,17 @@ impl<P: Plants<Plant>> Park<P> {
         }
     }
 
-    /// The thread is about to poll all futures woken so far. A later call keeps it from waiting.
+    /// The thread is about to poll all futures that were woken so far. A call after this one keeps the thread from waiting.
     pub fn begins(&self) {
         // The word is swapped only if the thread was called. A call that this load misses keeps the thread from waiting
-        // later. It is a swap and not a store, because its acquire pairs with the swap in `call`, so the thread sees
-        // what was written before the call.
+        // later. This is a swap and not a store, because its acquire pairs with the swap in `call`, so the thread sees
+        // all writes before the call.
         if self.word.load() != RUNNING {
             self.word.swap(RUNNING);
         }
     }
 
-    /// Sleeps until there is a call. Wake-ups may be spurious.
+    /// Sleeps until another thread makes a call. Wake-ups may be spurious.
     pub fn sleep(&self) {
         if self.goes(SLEEPING) {
             self.word.wait(SLEEPING, None);

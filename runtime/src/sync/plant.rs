@@ -1,12 +1,12 @@
-//! Planted bugs that the explorers must find: each piece marks where it could be wrong, and asks there whether the bug is
-//! planted.
+//! Planted bugs that the explorers must find: a data structure asks, at each place where it could be wrong, whether a
+//! bug is planted there.
 
-/// Which bugs are planted in a piece.
+/// The bugs that are planted in a data structure.
 pub(crate) trait Plants<Bug> {
     fn has(&self, bug: Bug) -> bool;
 }
 
-/// No bug: what programs run. The compiler removes the question.
+/// Plants no bug: programs use this. The compiler removes the calls of `has`.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Sound;
 
@@ -17,7 +17,7 @@ impl<Bug> Plants<Bug> for Sound {
     }
 }
 
-/// At most one bug: what explorers run.
+/// Plants at most one bug: explorers use this.
 #[cfg(test)]
 impl<Bug: PartialEq> Plants<Bug> for Option<Bug> {
     fn has(&self, bug: Bug) -> bool {

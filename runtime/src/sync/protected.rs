@@ -8,7 +8,7 @@ pub(crate) trait Protected {
     type Input: Slotted;
     /// The answer that its task waits for.
     type Completion;
-    /// What the thread carries out once the lock is released. Owned by the caller.
+    /// The work that the thread does once the lock is released. The caller owns it.
     type Effects;
 
     /// Whether only the task's thread needs the result of this input, so that the input may wait until that thread enters.
@@ -17,13 +17,13 @@ pub(crate) trait Protected {
     /// Takes one input, and may change it. Returns an answer for the task, if there is one.
     fn feed(&mut self, input: &mut Self::Input, effects: &mut Self::Effects) -> Option<Self::Completion>;
 
-    /// Processes what earlier inputs left inside of the protected state. Called after each group of inputs that a
-    /// thread processes for others.
+    /// Processes inputs that the protected state has for itself. Called after each group of inputs that a thread
+    /// processes for other threads.
     fn work_inside(&mut self, effects: &mut Self::Effects) {
         let _ = effects;
     }
 
-    /// Called last before the lock is released. Returns when the protected state next expires.
+    /// Called last before the lock is released. Returns the instant at which the protected state next expires.
     fn settle(&mut self, rest: Rest, effects: &mut Self::Effects) -> u64;
 }
 
@@ -36,21 +36,21 @@ pub(crate) trait ThreadWaker: Send + Sync {
 /// What the task's thread does once the lock is released.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Rest {
-    /// The thread goes on running, so no instant is noted at which it comes back.
+    /// The thread goes on running, and it is not known when it comes back.
     No,
     /// The thread goes to sleep now, and comes back at the protected state's next expiry.
     Begins,
-    /// The thread sleeps, and comes back at the expiry that `settle` returned for [`Begins`](Self::Begins).
+    /// The thread still sleeps, and comes back at the expiry that `settle` returned for [`Begins`](Self::Begins).
     GoesOn,
 }
 
-/// The result for the task's own thread when it enters.
+/// The result for the task's own thread when it enters the hand-off.
 #[derive(Debug)]
 pub(crate) struct Entry<M> {
-    /// The answer, if it is there.
+    /// The answer, if there is one already.
     pub completion: Option<M>,
     /// Whether the node stops.
     pub stopped: bool,
-    /// When to enter again at the latest, if there is no answer yet.
+    /// The instant at which the thread must enter again at the latest, if there is no answer yet.
     pub until: u64,
 }

@@ -1,5 +1,5 @@
-//! Which futures of a thread are ready to be polled: a bit for each (D178). A waker marks its future and calls the thread; the
-//! thread takes all marks of a word at once.
+//! Which futures of a thread are ready to be polled: each future has a bit (D178). A waker sets the bit of its future,
+//! the mark, and calls the thread; the thread takes all marks of a word at once.
 
 use crate::sync::park::Park;
 use crate::sync::plant::{Plants, Sound};
@@ -17,18 +17,19 @@ pub(crate) struct ReadyFutures<P = Sound> {
 /// The marks of up to 64 futures.
 struct Marks {
     all: AtomicU64,
-    /// Those that the thread itself made. No other thread touches them, so they take no locked instruction.
+    /// The marks that the thread of the futures itself made. No other thread accesses them, so they need no locked
+    /// instruction.
     own: AtomicU64,
 }
 
 /// The bugs that the explorers must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
-    /// The thread is called before the future is marked.
+    /// A waker calls the thread before it marks the future.
     CallsFirst,
     /// A waker that finds the mark set only reads it.
     OnlyReads,
-    /// A word is read and then cleared, in two steps.
+    /// The thread reads a word and then clears it, in two steps.
     TakesInTwoSteps,
     /// The thread declares itself running only after it has taken the marks, instead of before.
     BeginsLate,
@@ -51,7 +52,7 @@ impl<P: Plants<Plant>> ReadyFutures<P> {
         Self { words: (0..count).step_by(BITS).map(marks).collect(), park, plant }
     }
 
-    /// The future at `place` is ready. A waker that marked it before has called the thread, or is about to.
+    /// Marks the future at `place` as ready. A waker that marked it before has called the thread, or is about to.
     pub fn wake(&self, place: usize) {
         if self.plant.has(Plant::CallsFirst) {
             self.park.call();
@@ -60,25 +61,25 @@ impl<P: Plants<Plant>> ReadyFutures<P> {
         if self.plant.has(Plant::OnlyReads) && word.load(Ordering::Acquire) & bit != 0 {
             return;
         }
-        // The bit is written even if it is set already, so that the thread that takes it sees what this waker
-        // wrote before.
+        // The bit is written even if it is set already, so that the thread that takes it sees all earlier writes of
+        // this waker.
         let before = word.fetch_or(bit, Ordering::AcqRel);
         if before & bit == 0 && !self.plant.has(Plant::CallsFirst) {
             self.park.call();
         }
     }
 
-    /// As [`wake`](Self::wake), for the thread of the futures itself. That thread polls the futures, so it need
-    /// not be called.
+    /// As [`wake`](Self::wake), for a call on the thread of the futures itself. That thread polls the futures, so it
+    /// need not be called.
     pub fn mark_own(&self, place: usize) {
         let word = &self.words[place / BITS].own;
         word.store(word.load(Ordering::Relaxed) | (1 << (place % BITS)), Ordering::Relaxed);
     }
 
-    /// Polls each future that is ready, once, by `poll`.
+    /// Polls each ready future once, by calling `poll`.
     pub fn poll_ready(&self, mut poll: impl FnMut(usize)) {
-        // The thread declares itself running before it takes any marks, so that a call after one of the takes
-        // keeps it from waiting.
+        // The thread declares itself running before it takes any marks, so that a call after it has taken a word's
+        // marks keeps it from waiting.
         if !self.plant.has(Plant::BeginsLate) {
             self.park.begins();
         }
@@ -110,8 +111,8 @@ impl<P: Plants<Plant>> ReadyFutures<P> {
             word.store(0, Ordering::Release);
             return ready;
         }
-        // The word is swapped only if it has marks. The waker of a mark that this load misses has called the thread, or
-        // is about to, and so keeps it awake.
+        // The word is swapped only if it has marks. If this load misses a mark, the waker of that mark has called the
+        // thread, or is about to call it, and so keeps the thread awake.
         if word.load(Ordering::Relaxed) == 0 { 0 } else { word.swap(0, Ordering::AcqRel) }
     }
 }

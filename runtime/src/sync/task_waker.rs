@@ -10,7 +10,7 @@ impl TaskWaker {
         Self(Mutex::new(None))
     }
 
-    /// From here on, a wake-up calls `waker`.
+    /// From here on, waking the task calls `waker`.
     pub fn listen(&self, waker: &Waker) {
         // The old waker is dropped without the lock: it may own a future, and dropping that future may call
         // this function.
@@ -19,7 +19,7 @@ impl TaskWaker {
     }
 
     pub fn wake(&self) {
-        // Called without the lock, because it may be anything.
+        // The waker is called without the lock, because it may run any code.
         let waker = lock(&self.0).clone();
         waker.iter().for_each(Waker::wake_by_ref);
     }

@@ -1,4 +1,5 @@
-//! How a task's thread waits for what other threads bring, and how they wake it: one futex word that both sides change.
+//! How a task's thread waits for answers and input of other threads, and how those threads wake it: one futex word that
+//! both sides change.
 //!
 //! ```text
 //!                      goes, sleep                     mark: there is something for it
@@ -21,9 +22,9 @@ use std::sync::Arc;
 const RUNNING: u32 = 0;
 /// The task's thread sleeps, or is about to.
 const SLEEPING: u32 = 1;
-/// There is something for the task's thread, or its program has ended: it must not sleep.
+/// There is an answer or input for the task's thread, or its program has ended: the thread must not sleep.
 const READY: u32 = 2;
-/// The task's thread waits in the link, or is about to: the waker wakes it.
+/// The task's thread waits in the link, or is about to: then `waker` wakes it.
 pub(super) const AWAY: u32 = 3;
 /// The task's thread spins on its word and on the inbox.
 const LOOKING: u32 = 4;
@@ -37,7 +38,7 @@ pub(crate) enum Plant {
     NoMark,
     /// The futex word is set to `READY`, but no thread is woken.
     NoWake,
-    /// A thread that waits in the link is not woken by its waker.
+    /// The waker does not wake a thread that waits in the link.
     NoWaker,
     /// Stopping a task does not wake the task's thread.
     SilentStop,
@@ -72,7 +73,7 @@ impl Was {
 pub(super) struct Waiting<P = Sound> {
     word: Line<Word>,
     pub thread_state: ThreadState,
-    /// Wakes the task's thread where it waits elsewhere than on its word.
+    /// Wakes the task's thread if it waits elsewhere than on its word.
     waker: Option<Arc<dyn ThreadWaker>>,
     pub plant: P,
 }
@@ -96,7 +97,7 @@ impl<P: Plants<Plant>> Waiting<P> {
         }
     }
 
-    /// Whether there is something for the task's thread.
+    /// Whether there is an answer or input for the task's thread.
     pub fn is_ready(&self) -> bool {
         self.word.0.load() == READY
     }
@@ -149,9 +150,10 @@ impl<P: Plants<Plant>> Waiting<P> {
         true
     }
 
-    /// The thread is about to wait in state `to`. False if there is something for it.
+    /// The thread is about to wait in state `to`. Returns false if there is an answer or input for it.
     pub fn goes(&self, to: u32, was_left: impl FnOnce() -> bool) -> bool {
-        // Before the word changes, because a thread that sees the word and wakes this thread counts it back.
+        // This comes before the word changes, because a thread that sees the new word and wakes this thread counts it
+        // as running again.
         self.thread_state.goes();
         if self.plant.has(Plant::SleepsBlindly) {
             self.word.0.store(to);
@@ -168,7 +170,7 @@ impl<P: Plants<Plant>> Waiting<P> {
         true
     }
 
-    /// The thread leaves its waiting state `from`. False if it was called.
+    /// The thread leaves its waiting state `from`. Returns false if it was called.
     pub fn comes(&self, from: u32) -> bool {
         let uncalled = self.word.0.replace(from, RUNNING);
         if uncalled {
@@ -182,7 +184,7 @@ impl<P: Plants<Plant>> Waiting<P> {
         !self.word.0.replace(RUNNING, LOOKING)
     }
 
-    /// The thread stops spinning. True if it was called.
+    /// The thread stops spinning. Returns true if it was called.
     pub fn ends_its_look(&self) -> bool {
         !self.word.0.replace(LOOKING, RUNNING)
     }

@@ -12,14 +12,14 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// A time that is long enough for everything that is not lost, on a busy machine.
+/// A time that is long enough, even on a busy machine, for every message that is not lost.
 pub const LONG: Duration = Duration::from_secs(60);
 
 /// The time of [`LONG`] in ticks.
 pub const LONG_TICKS: Ticks = Ticks(60_000_000);
 
-/// A time_out that a test lets expire, though other tasks must be in time for it. A busy machine keeps no thread from running for
-/// nearly this long.
+/// A time_out that a test lets expire although other tasks must not exceed it. Even a busy machine lets every thread
+/// run within this time.
 pub const AMPLE: Duration = Duration::from_secs(4);
 
 /// The time of [`AMPLE`] in ticks.
@@ -59,8 +59,8 @@ pub fn one_node(table: &Arc<CellTable>) -> Builder {
     Runtime::builder(Arc::clone(table), NodeId(0))
 }
 
-/// The builder of a node of an in-process network, in its first incarnation. Until all nodes have joined, packets to the
-/// missing ones are lost. So make all builders before you start a node.
+/// The builder of a node of an in-process network, in its first incarnation. Until all nodes have joined, packets to
+/// the missing nodes are lost. So make all builders before you start a node.
 pub fn on(network: &Arc<Network>, table: &Arc<CellTable>, node: u16) -> Builder {
     let link = network.join(NodeId(node), imrs_protocol::Incarnation(1), false);
     Runtime::builder(Arc::clone(table), NodeId(node))
@@ -85,7 +85,8 @@ pub fn busy() -> (Arc<CellTable>, Arc<Network>) {
     (table, network)
 }
 
-/// The program of a task of [`busy`]: it meets `rounds` times; in between `a` sends news and asks, and the others answer.
+/// The program of a task of [`busy`]: it meets the other tasks `rounds` times. Between two meetings `a` sends news and
+/// asks, and the other tasks answer.
 pub fn meets_and_asks(ctx: &mut Context, rounds: u8) -> Result<(), TaskError> {
     let (lift, news) = (ctx.port("lift")?, ctx.port("news")?);
     for round in 0..rounds {
@@ -114,7 +115,7 @@ pub fn finish(runtime: Runtime) {
     assert!(ends.iter().all(|(_, end)| *end == TaskEnd::Returned), "{ends:?}");
 }
 
-/// Checks again and again until `done` returns true.
+/// Calls `done` repeatedly until it returns true.
 pub fn until(mut done: impl FnMut() -> bool) {
     let start = Instant::now();
     while !done() {

@@ -1,4 +1,4 @@
-//! An observed node, and a monitor of it that a test controls.
+//! An observed node, and a monitor of that node which a test controls.
 
 use super::{A, B, LONG, LONG_TICKS, ask, cell, one_node, report, table};
 use imrs_protocol::{PortDecl, Ticks, Usage};
@@ -29,7 +29,8 @@ pub struct Folder(pub PathBuf);
 impl Folder {
     pub fn new(name: &str) -> Self {
         let path = std::env::temp_dir().join(format!("imrs-runtime-{name}-{}", std::process::id()));
-        // The folder of the cell, below the folder of all cells. An observer looks in it for the sockets of its neighbours.
+        // The folder of the cell, below the folder of all cells. An observer looks in the cell's folder for the sockets
+        // of neighbours.
         std::fs::create_dir_all(path.join("cell")).expect("a folder");
         Self(path)
     }
@@ -158,7 +159,7 @@ impl Monitor {
         ServerFrame::decode(self.reader.read_frame().expect("a frame")).expect("a known frame")
     }
 
-    /// Reads until `wanted` finds something, and keeps `state` up to date meanwhile.
+    /// Reads frames until `wanted` returns a value, and keeps `state` up to date meanwhile.
     pub fn until<T>(
         &mut self,
         state: &mut Snapshot,

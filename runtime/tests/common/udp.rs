@@ -62,8 +62,8 @@ fn bound(table: &Arc<CellTable>) -> Vec<UdpLink> {
             let address = links[neighbour.index()].local_address();
             from.set_address(neighbour, Some(address)).expect("a neighbour");
         }
-        // The event is taken here. Otherwise the receiving thread might learn the addresses at any later time, and send
-        // waiting packets just then.
+        // The poll ends with the event of the new addresses here. Otherwise the receiving thread might get this event
+        // at any later time, and send waiting packets just then.
         while from.poll(&Nobody, None) != PollEnd::Ready {}
     }
     links

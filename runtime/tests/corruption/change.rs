@@ -8,15 +8,15 @@ use imrs_wire::recording::{Record, ScriptStep};
 pub enum Change {
     /// An input is missing.
     Dropped,
-    /// An input is there twice.
+    /// An input is recorded twice.
     Doubled,
     /// Two inputs of a task have swapped places.
     Swapped,
     /// An input has another time.
     Time,
-    /// A packet or a request has another content.
+    /// A packet or a request has other contents.
     Input,
-    /// Other outputs are recorded.
+    /// Another digest of the outputs is recorded.
     Outputs,
     /// A script has another input.
     Script,
@@ -27,7 +27,7 @@ impl Change {
         [Self::Dropped, Self::Doubled, Self::Swapped, Self::Time, Self::Input, Self::Outputs, Self::Script];
 }
 
-/// The records with one change; `None` if the draw changes nothing.
+/// Returns the records with one random change, or `None` if the draw changes nothing.
 pub fn change_records(records: &[Record], random: &mut fastrand::Rng) -> Option<(Change, Vec<Record>)> {
     let change = Change::ALL[random.usize(..Change::ALL.len())];
     let wanted = |record: &Record| match (change, record) {
@@ -46,7 +46,7 @@ pub fn change_records(records: &[Record], random: &mut fastrand::Rng) -> Option<
         Change::Swapped => {
             let other =
                 (at + 1..records.len()).find(|&other| task_of(&records[other]) == task_of(&records[at]))?;
-            // The last record of a task is no input, so it stays where it is.
+            // The last record of a task is no input, so it keeps its position.
             if !matches!(records[other], Record::Input { .. }) {
                 return None;
             }
@@ -131,7 +131,7 @@ fn alter_request(request: &mut Request, random: &mut fastrand::Rng) {
     }
 }
 
-/// Other contents of the same length; one byte instead of empty contents.
+/// Draws other contents of the same length; one byte in place of empty contents.
 fn other(bytes: &[u8], random: &mut fastrand::Rng) -> Contents {
     let mut bytes = if bytes.is_empty() { vec![0] } else { bytes.to_vec() };
     let at = random.usize(..bytes.len());
@@ -149,7 +149,7 @@ fn alter_step(step: &mut ScriptStep, random: &mut fastrand::Rng) {
     }
 }
 
-/// The bytes of a file with one change.
+/// Returns the bytes of a file with one random change.
 pub fn change_bytes(bytes: &[u8], random: &mut fastrand::Rng) -> (&'static str, Vec<u8>) {
     let mut changed = bytes.to_vec();
     let at = random.usize(..bytes.len());

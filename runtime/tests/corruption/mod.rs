@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::{Arc, Mutex};
 
-/// How many changes of each kind are made.
+/// How many changes of each kind the test makes.
 fn wanted() -> usize {
     std::env::var("IMRS_CORRUPTIONS").ok().map_or(300, |number| number.parse().expect("a number"))
 }
@@ -27,7 +27,7 @@ fn records(bytes: &[u8]) -> (Header, Vec<Record>) {
 
 fn written(header: &Header, records: &[Record]) -> Vec<u8> {
     let mut writer = RecordingWriter::new(Vec::new(), header).expect("memory takes everything");
-    // The end is written as a record like all others, because a changed recording may have none.
+    // The end of the recording is written as a record like all others, because a changed recording may have no end.
     records.iter().for_each(|record| writer.append(record).expect("memory takes everything"));
     let length = usize::try_from(writer.written()).expect("it is in memory");
     let mut bytes = writer.finish().expect("memory takes everything");
@@ -43,8 +43,9 @@ fn is_noticed(bytes: &[u8], run: &Recorded) -> bool {
     !same || reader.ending() != Ending::Ended
 }
 
-/// For each task, what can be observed of a recording, whatever the recorded digests say: all outputs of its communication
-/// task, and all requests of its script with their answers, in order. It is hashed, so collisions of 64 bits are possible.
+/// For each task, the observable parts of a recording, whatever the recorded digests say: all outputs of its
+/// communication task, and all requests of its script with their answers, in order. The outputs are hashed, so
+/// collisions of 64 bits are possible.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Observable(BTreeMap<TaskId, (u64, Vec<String>)>);
 
@@ -131,7 +132,7 @@ struct Count {
     made: usize,
     observable: usize,
     noticed: usize,
-    /// The number of changes that altered nothing observable, but that the replay noticed all the same.
+    /// The number of changes that altered nothing observable, but that the replay noticed nevertheless.
     besides: usize,
 }
 
@@ -149,7 +150,7 @@ fn changed_inputs_behind_right_checksums_are_noticed() {
         let Some((change, changed)) = change_records(whole, &mut random) else { continue };
         let count = counts.entry(change).or_default();
         count.made += 1;
-        // A digest is the recording's statement about the outputs, so changing it changes what was observed.
+        // A recorded digest says what the outputs were, so changing the digest counts as a change of something observable.
         let differs = change == Change::Outputs || Observable::of(header, &changed, run) != plain[at];
         let noticed = is_noticed(&written(header, &changed), run);
         observable += usize::from(differs);
@@ -192,7 +193,8 @@ fn changed_bytes_of_the_file_are_noticed() {
     assert!(noticed * 1_000 >= observable * 999, "{noticed} of {observable}: {counts:#?}");
 }
 
-/// After a gap only the keyframe says what the state was. A changed keyframe may say anything: it is refused or replayed.
+/// After a gap only the keyframe says what the state was. A changed keyframe may contain any state: it is refused or
+/// replayed.
 #[test]
 fn changed_keyframes_are_refused_or_replayed() {
     let runs = runs();

@@ -21,7 +21,7 @@ pub struct Recorded {
     pub bytes: Vec<u8>,
 }
 
-/// A sink that keeps what was written.
+/// A sink that keeps all written bytes.
 #[derive(Clone, Default)]
 struct Kept(Arc<Mutex<Vec<u8>>>);
 
@@ -78,8 +78,8 @@ pub fn tasks() -> Vec<Recorded> {
 
 const ASK: PortId = PortId(0);
 
-/// A script that measures, and asks with the measured value. Every third measurement fails, and then the script asks
-/// nothing.
+/// A script that measures, and asks a question with the measured value. Every third measurement fails, and then the
+/// script asks nothing.
 fn measurer(times: i64) -> Arc<Program> {
     let mut b = ProgramBuilder::new("a");
     let [i, n, answer] = ["i", "n", "answer"].map(|name| b.variable(name, Type::Int32));
@@ -102,7 +102,7 @@ fn measurer(times: i64) -> Arc<Program> {
     Arc::new(b.finish().expect("a sound program"))
 }
 
-/// A script that answers each question with the received number plus one, for ever.
+/// A script that answers each question with the received number plus one, in an endless loop.
 fn answerer() -> Arc<Program> {
     let mut b = ProgramBuilder::new("b");
     let n = b.variable("n", Type::Int32);
@@ -123,7 +123,7 @@ pub fn scripts() -> Vec<Recorded> {
     let faults = Faults { seed: 7, loss: 0.1, ..Faults::default() };
     let network = network(&table, faults);
     let count = AtomicI32::new(0);
-    // The calls 1, 2, 4, 5, 7 and so on succeed: every third one fails.
+    // Calls 1, 2, 4, 5, 7 and so on of the action succeed: every third call fails.
     let measure = move |_: &Call| match count.fetch_add(1, Ordering::Relaxed) {
         n if n % 3 == 2 => Err("nothing to see".into()),
         n => Ok(n + 1),

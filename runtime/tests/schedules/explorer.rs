@@ -8,14 +8,14 @@ pub(crate) use shuttle::thread;
 use shuttle::{Config, FailurePersistence, Runner};
 use std::collections::BTreeMap;
 
-/// Whether a load may return an overwritten value: here it always returns the last one.
+/// Whether a load may return an overwritten value. With shuttle a load always returns the last value.
 pub(crate) const SEES_OLD_VALUES: bool = false;
 
 /// How many schedules of each scene are drawn, unless `IMRS_SCHEDULES` sets the number; `.ci/long` takes 100,000.
 const SCHEDULES: usize = 2_000;
-/// The depth of PCT: the most steps whose order a bug may need.
+/// The depth of PCT: the greatest number of steps on whose order a bug may depend.
 const DEPTH: usize = 3;
-/// The seed of the draws: the same in every run.
+/// The seed of the random draws, which is the same in every run.
 const SEED: u64 = 1987;
 
 /// How often each outcome was seen.
@@ -25,7 +25,7 @@ fn schedules() -> usize {
     std::env::var("IMRS_SCHEDULES").map_or(SCHEDULES, |n| n.parse().expect("IMRS_SCHEDULES is a number"))
 }
 
-/// Runs `body` under [`schedules`] schedules.
+/// Runs `body` under as many schedules as [`schedules`] says.
 pub(crate) fn explore<O: Ord + Send + 'static>(body: impl Fn() -> O + Send + Sync + 'static) -> Histogram<O> {
     let seen = std::sync::Arc::new(std::sync::Mutex::new(Histogram::new()));
     let shared = std::sync::Arc::clone(&seen);
@@ -43,7 +43,7 @@ pub(crate) fn explore<O: Ord + Send + 'static>(body: impl Fn() -> O + Send + Syn
     seen
 }
 
-/// In a large scene a drawn schedule costs no more.
+/// This explorer draws as many schedules for a large scene as for others, so both functions are the same.
 pub(crate) use explore as explore_large;
 
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

@@ -1,5 +1,5 @@
-//! Runs the concurrent parts of the runtime under many schedules, by shuttle. Source and scenes are the same that loom
-//! explores in the unit tests. There are no stale values here, but many more schedules.
+//! Runs the concurrent parts of the runtime under many schedules, by shuttle. The code and the scenes are those that
+//! loom explores in the unit tests. With shuttle a load returns no stale value, but there are many more schedules.
 
 #[allow(dead_code, reason = "the scenes have clocks of their own")]
 #[path = "../../src/clock.rs"]

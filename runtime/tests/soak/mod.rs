@@ -13,7 +13,8 @@ use process::{Held, threads, trend, worked};
 use rig::{Asked, Plan, Ran, THREADS, Tally, run};
 use std::time::{Duration, Instant};
 
-/// How many KiB more memory may be held at the end than at the beginning, however long the run: caches of the allocator.
+/// How many KiB more memory the process may hold at the end than at the beginning, however long the run, because of the
+/// allocator's caches.
 const FLAT: f64 = 512.0;
 /// The least number of measurements of memory, descriptors and threads, however busy the machine is.
 const LOOKS: usize = 8;
@@ -42,18 +43,18 @@ fn at_half_load_every_request_has_its_outcome_and_nothing_grows() {
 
     let (begin, length) = (Instant::now(), wanted());
     let every = (length / 400).max(Duration::from_millis(50));
-    // All memory of the series is in RAM before the first measurement.
+    // The vector is filled and cleared, so that all its memory is in RAM before the first measurement.
     let mut series = vec![Held::default(); 1_000];
     series.clear();
     let others = threads();
     let look = || {
         std::thread::sleep(every);
-        // The last meeting of the drivers begins only after this, because its cost belongs to the end.
+        // The drivers begin their last meeting only after this loop, because the cost of that meeting belongs to the end.
         let is_enough = begin.elapsed() > length && series.len() >= LOOKS;
         // The first tenth of the run warms up, and is not measured.
         if !is_enough && begin.elapsed() > length / 10 && series.len() < series.capacity() {
             if series.is_empty() {
-                // A thread has its name only once it has begun to run.
+                // A thread has its name only once it runs, so this waits until all threads are counted.
                 until(|| Held::now(begin, &others).threads == THREADS);
             }
             series.push(Held::now(begin, &others));
@@ -77,7 +78,7 @@ fn busy<T>(work: impl FnOnce() -> T) -> (T, f64) {
     (done, (worked() - used).as_secs_f64() / begin.elapsed().as_secs_f64())
 }
 
-/// Checks what must hold in every run. Returns how many cycles per second all drivers made together.
+/// Checks the properties that must hold in every run. Returns how many cycles per second all drivers made together.
 fn judge(ran: &Ran) -> f64 {
     assert_eq!(ran.tallies.len(), 3);
     let mut copies = 0;
@@ -122,7 +123,7 @@ fn discarded(ran: &Ran, reason: Reason) -> u64 {
     all.filter(|count| count.name == reason.name()).map(|count| count.count).sum()
 }
 
-/// Checks that the counters of the machines and the links agree with what the programs did.
+/// Checks that the counters of the machines and the links agree with the programs' own counts.
 fn counters_agree(ran: &Ran) {
     let tasks = || ran.snapshots.iter().flat_map(|snapshot| &snapshot.tasks);
     for (port, asked) in ran.tallies.iter().flat_map(|tally| &tally.asked) {

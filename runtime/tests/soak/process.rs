@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 /// The resources that the process holds at an instant.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Held {
-    /// Seconds since the beginning.
+    /// Seconds since the beginning of the run.
     pub at: f64,
     /// Anonymous memory in RAM, in KiB. Mapped files do not count, because the kernel loads and drops them as it likes.
     pub memory: u64,
@@ -37,8 +37,8 @@ impl Held {
         let is_of_a_node = |thread: &DirEntry| {
             let name = std::fs::read_to_string(thread.path().join("comm")).unwrap_or_default();
             let is_another = others.contains(&thread.file_name());
-            // These are the tasks' threads, and those that run for all tasks. The thread for actions ends some time after
-            // its node.
+            // The node's threads are those of the tasks, which have short names, and those that run for all tasks. A
+            // thread for actions ends some time after its node.
             !is_another
                 && (["imrs receive", "imrs timer"].contains(&name.trim_end()) || name.trim_end().len() == 1)
         };

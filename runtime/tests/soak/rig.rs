@@ -1,4 +1,4 @@
-//! Three nodes over loopback UDP whose tasks use every primitive, at full speed or at a pace.
+//! Three nodes over loopback UDP whose tasks use every primitive, at full speed or at a fixed pace.
 
 use crate::common::udp::{builders, links};
 use crate::common::{A, B, C, LONG, cell, finish, table};
@@ -26,8 +26,8 @@ const MEET_EVERY: u32 = 8;
 /// How many cycles a driver makes at least, however long the machine takes.
 const LEAST: u32 = 25 * MEET_EVERY;
 
-/// The cell: each driver commands the servant of the next node and tells news to both others. `a` asks two tasks at once, `b`
-/// asks a task that never answers, `c` sends messages that expire unread, and all three meet.
+/// The cell: each driver sends commands to the servant of the next node and news to both other drivers. `a` asks two tasks at
+/// once, `b` asks a task that never answers, `c` sends messages that expire unread, and all three drivers meet.
 fn soaked() -> Arc<CellTable> {
     let [d, e, f] = SERVANTS;
     let mut cell = cell(&[0, 1, 2, 0, 1, 2], Ticks(1_000));
@@ -49,7 +49,7 @@ fn soaked() -> Arc<CellTable> {
 #[derive(Clone, Debug, Default)]
 pub struct Asked {
     pub requests: u64,
-    /// The number of outcomes: one for each task that was asked.
+    /// The number of outcomes: one for each asked task.
     pub outcomes: u64,
     pub expected: u64,
     pub replies: u64,
@@ -108,9 +108,9 @@ impl Asked {
 /// Which drivers wait in a meeting, and how the last meetings ended.
 #[derive(Default)]
 struct Meetings {
-    /// For each driver: the last round that it left, with [`WAITS`] set while it waits.
+    /// For each driver: the last round that it left, with the bit [`WAITS`] set while it waits.
     at: [AtomicU32; 3],
-    /// For each round: how many tasks were released, and how many gave up.
+    /// For each of the last rounds: how many tasks were released, and how many gave up.
     ends: Mutex<VecDeque<(Round, u8, u8)>>,
     diverged: AtomicU32,
     over: AtomicBool,
@@ -123,8 +123,8 @@ impl Meetings {
         self.at[driver.index()].fetch_or(WAITS, Ordering::SeqCst);
     }
 
-    /// Notes how a driver's meeting ended, and checks a release: all must have arrived in its round. So each other driver
-    /// must wait, or must have left this round or a later one.
+    /// Notes how a driver's meeting ended, and checks a release: all drivers must have arrived in its round. So each
+    /// other driver must still wait, or must have left this round or a later one.
     fn ended(&self, driver: TaskId, end: Rendezvous) {
         let (Rendezvous::Released { round, .. } | Rendezvous::GaveUp { round, .. }) = end;
         let released = matches!(end, Rendezvous::Released { .. });

@@ -88,7 +88,7 @@ fn a_cut_can_be_planned() {
     }
     assert_eq!(a.injected(), Injected { lost_packets: 0, cut_packets: 5 });
     assert_eq!(memory.take_packets(&b, 5).len(), 5);
-    // A short cut ends by itself.
+    // A cut that was set for a short span ends by itself.
     let start = Instant::now();
     a.cut_during(B, start..start + Duration::from_millis(20));
     let sent = a.inner().count(UdpCount::PacketsSent);
@@ -116,7 +116,8 @@ const EMPTY_ETHERNET: [&str; 5] = [
     "link set there up",
 ];
 
-/// While the kernel looks for a host that does not answer, it keeps datagrams for that host, and counts them against the socket.
+/// While the kernel looks for a host that does not answer, it keeps the datagrams for that host, and counts them
+/// against the sending socket.
 #[test]
 fn a_host_that_is_gone_holds_up_nobody_else() {
     in_a_network(&EMPTY_ETHERNET, || {

@@ -1,4 +1,4 @@
-//! A flood of datagrams at a node's port costs its neighbours nothing, because each has a socket of its own (D155).
+//! A flood of datagrams at a node's port costs its neighbours nothing, because each neighbour has a socket of its own (D155).
 
 use super::rig::{
     A, B, C, Memory, PATIENCE, cell, digests, encoded, envelope_of, link, packet, pair, raw_socket, sealed,
@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// More datagrams than any socket here holds.
+/// More datagrams than any socket of this test holds.
 const FILLS_A_SOCKET: usize = 5_000;
 /// How many datagrams the flood sends while the neighbour's datagrams must still be received.
 const FLOOD: usize = 200_000;
@@ -34,16 +34,16 @@ fn thrown() -> Vec<Vec<u8>> {
         damaged,
         sealed(&stranger, &[encoded(2)]),
         sealed_for(other, &envelope_of(1, 9), &[encoded(3)]),
-        // This datagram has the name of the neighbour, and a session that is not the neighbour's.
+        // This datagram has the name of the neighbour, but a session that is not the neighbour's.
         sealed(&envelope_of(3, 11), &[encoded(4)]),
     ]
 }
 
-/// Sends `count` datagrams as fast as they leave.
+/// Sends `count` datagrams of the flood as fast as possible.
 fn flood(to: SocketAddr, count: usize) {
     let (socket, thrown) = (raw_socket(), thrown());
     for number in 0..count {
-        // The kernel may refuse a send for lack of room. The flood is then as fast as it can be.
+        // The kernel may refuse a send for lack of room. Then the flood cannot be faster.
         let _ = socket.send_to(&thrown[number % thrown.len()], to);
     }
 }
@@ -106,7 +106,8 @@ fn acquainted() -> (UdpLink, UdpLink) {
     (a, b)
 }
 
-/// Sends packets while the flood lasts, never more at once than fit into the socket. Returns how many packets were sent.
+/// Sends packets as long as `floods` returns true, never more at once than fit into the socket. Returns how many
+/// packets were sent.
 fn speaks(a: &UdpLink, heard: &Heard, floods: impl Fn() -> bool) -> u32 {
     let mut sent = 0;
     while floods() {
@@ -126,7 +127,7 @@ fn a_flood_from_elsewhere_loses_nothing_of_a_neighbour() {
     let (to, heard) = (b.local_address(), Heard::default());
     let silent = raw_socket();
     b.set_address(C, Some(silent.local_addr().unwrap())).unwrap();
-    // No thread receives yet: the flood fills whatever socket it comes to, and then the neighbour sends.
+    // No thread receives yet: the flood fills the socket at which it arrives, and then the neighbour sends.
     flood(to, FILLS_A_SOCKET);
     let first = UNDER_WAY as u32 / 2;
     (1..=first).for_each(|number| assert_eq!(a.send(B, &[packet(number)]), Ok(1)));
@@ -139,8 +140,8 @@ fn a_flood_from_elsewhere_loses_nothing_of_a_neighbour() {
             }
         });
         let sent = speaks(&a, &heard, || !flooding.is_finished());
-        // The last packet is sent once, like the others: repeated without a pause, it would itself fill the socket. If it is
-        // lost, the comparison below shows that.
+        // The last packet is sent once, like the others: if it were repeated without a pause, it would itself fill the
+        // socket. If it is lost, the comparison below shows that.
         let last = sent + 1;
         assert_eq!(a.send(B, &[packet(last)]), Ok(1));
         let end = Instant::now() + PATIENCE;
@@ -161,8 +162,8 @@ fn a_flood_from_elsewhere_loses_nothing_of_a_neighbour() {
     assert!(connected.values().eq(&[0, 0]), "two neighbours: {connected:?}");
 }
 
-/// The polling thread reads the socket of strangers in turns, because a thread that did nothing but drop a flood would take
-/// its core from the tasks.
+/// The polling thread reads the socket of strangers with pauses. Otherwise it would only drop the flood, and the tasks
+/// would lose its core.
 #[test]
 fn a_flood_is_looked_at_in_turns_of_a_millisecond() {
     /// The number of meaningless datagrams after which a visit ends; the next visit then waits.
@@ -175,11 +176,11 @@ fn a_flood_is_looked_at_in_turns_of_a_millisecond() {
     while came() < VISIT * VISITS {
         assert_eq!(b.poll(&heard, Some(start + PATIENCE)), PollEnd::Received);
     }
-    // A rest of a millisecond counts from the clock reading before the last discards of its visit, a few microseconds earlier.
+    // The pause of a millisecond counts from a clock reading a few microseconds before the last discards of its visit.
     let least = Duration::from_millis(VISITS - 1) * 9 / 10;
     assert!(start.elapsed() >= least, "{} datagrams within {:?}", came(), start.elapsed());
-    // A poll that ends before the rest does is on time. The rest began after the last discard; it can be over by now only if this
-    // thread stood still.
+    // A poll that ends before the pause does is on time. The pause began after the last discard; it can be over by now
+    // only if this thread stood still.
     let discarded = heard.discarded.lock().unwrap().expect("all of it means nothing");
     let end = b.poll(&heard, Some(Instant::now()));
     let since = discarded.elapsed();

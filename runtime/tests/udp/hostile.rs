@@ -25,7 +25,7 @@ impl Victim {
         self.from.send_to(bytes, self.link.local_address()).unwrap();
     }
 
-    /// Sends datagrams one by one, each of which must be dropped for one reason. Returns the reasons.
+    /// Sends datagrams one by one, each of which must be dropped. Returns the reason of each drop.
     fn reasons<'a>(&self, datagrams: impl IntoIterator<Item = &'a [u8]>) -> Vec<LinkDiscard> {
         let mut reasons = Vec::new();
         for bytes in datagrams {
@@ -42,7 +42,7 @@ impl Victim {
         self.reasons([bytes])[0]
     }
 
-    /// Checks that a good datagram still gets through.
+    /// Checks that the node still accepts a good datagram.
     fn still_listens(&self, counter: u64) {
         self.throw(&sealed(&envelope(counter), &[encoded(1)]));
         let got = self.memory.take_packets(&self.link, 1);

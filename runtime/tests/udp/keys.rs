@@ -25,7 +25,7 @@ fn pair(keys: &[NodeKeys; 3]) -> (UdpLink, UdpLink) {
     introduced(link(A).with_keys(&keys[0]).unwrap(), link(B).with_keys(&keys[1]).unwrap())
 }
 
-/// Sends packets as a node does: as soon as the link takes them. Returns once all have come.
+/// Sends packets as a node does: as soon as the link takes them. Returns once all packets have arrived.
 fn carried(from: &UdpLink, to: &UdpLink, numbers: std::ops::Range<u32>) -> Memory {
     let (at_from, at_to) = (Memory::default(), Memory::default());
     let packets: Vec<_> = numbers.map(packet).collect();
@@ -61,8 +61,8 @@ fn a_packet_is_not_to_be_seen_and_a_repeated_or_plain_datagram_is_dropped() {
     let (a, b) = pair(&keys());
     carried(&a, &b, 1..2);
     let bytes = taken_on_its_way(&a, &b, packet(2));
-    // The first 16 bytes are in clear. They are left out of this search, because their counter has zeros, and
-    // so has an empty part of the packet.
+    // The first 16 bytes are in clear. This search leaves them out, because their counter has zeros, and an empty part
+    // of the packet has zeros, too.
     assert!(!bytes[16..].windows(8).any(|seen| encoded(2).windows(8).any(|sent| sent == seen)));
     let (at_b, forger) = (Memory::default(), raw_socket());
     let throw = |bytes: &[u8]| forger.send_to(bytes, b.local_address()).unwrap();

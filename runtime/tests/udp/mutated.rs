@@ -1,4 +1,4 @@
-//! Tests that mutated datagrams cause no panic, and that genuine traffic goes on.
+//! Tests that mutated datagrams cause no panic, and that genuine datagrams are still accepted.
 
 use super::rig::{A, B, C, Memory, PATIENCE, introduced, link, packet, raw_socket};
 use super::sessions::{drive, taken_on_its_way};
@@ -8,7 +8,7 @@ use imrs_wire::envelope::MAX_DATAGRAM_BYTES;
 use std::time::{Duration, Instant};
 
 const HEADER: usize = 60;
-/// How many mutated datagrams come between two checks of the genuine traffic.
+/// How many mutated datagrams are sent between two checks with genuine datagrams.
 const BATCH: usize = 250;
 
 const CRC: crc::Crc<u32, crc::Table<16>> = crc::Crc::<u32, crc::Table<16>>::new(&crc::CRC_32_MEF);
@@ -54,7 +54,7 @@ fn goes_on((a, at_a): (&UdpLink, &Memory), (b, at_b): (&UdpLink, &Memory), numbe
         let got = std::mem::take(&mut *at_b.packets.lock().unwrap());
         let genuine = got.iter().find(|got| got.0 == A && is_new(got.1.id.sequence.get()));
         if let Some((_, _, charge)) = genuine {
-            // The packet must also not be charged as an old one, which would be as bad.
+            // The packet must not be charged as an old packet either, because it would then expire too early.
             assert!(charge.0 <= 20_000_000, "{charge} us");
             return true;
         }
@@ -80,7 +80,7 @@ fn genuine_traffic_goes_on_between_mutated_datagrams() {
     let (at_a, at_b, at_c) = (Memory::default(), Memory::default(), Memory::default());
     let (from, mut number, mut thrown) = (raw_socket(), 1_000_000, 0);
     let mut longest = Duration::ZERO;
-    // First the two nodes must hear from each other.
+    // First the two nodes must receive a datagram from each other.
     goes_on((&a, &at_a), (&b, &at_b), &mut number);
     while thrown < count {
         let genuine = taken_on_its_way(&a, &b, packet(number - 1));

@@ -3,8 +3,8 @@
 use nix::sched::{CloneFlags, unshare};
 use std::process::Command;
 
-/// Runs `work` in a network namespace that has only what these commands of `ip` make. Without the right to make a namespace,
-/// it reports that the test is skipped; if everything is required, it fails.
+/// Runs `work` in a network namespace that has only what these commands of `ip` make. Without the right to make a
+/// namespace, it reports that the test is skipped; with `IMRS_REQUIRE_ALL=1` it fails.
 pub fn in_a_network(commands: &[&str], work: impl FnOnce() + Send) {
     let ran = std::thread::scope(|scope| {
         let own = move || {
@@ -23,7 +23,7 @@ pub fn in_a_network(commands: &[&str], work: impl FnOnce() + Send) {
     }
 }
 
-/// Reports that a test was skipped, and why; if everything is required, it fails.
+/// Reports that a test was skipped, and why; with `IMRS_REQUIRE_ALL=1` it fails.
 pub fn skip(missing: &str) {
     let required = std::env::var_os("IMRS_REQUIRE_ALL").is_some_and(|value| value == "1");
     assert!(!required, "{missing}, and IMRS_REQUIRE_ALL=1 requires it");

@@ -1,4 +1,5 @@
-//! The rig of these tests: three nodes with a link between any two, a task on each, and a sink that records.
+//! Helpers of the tests of the UDP link: three nodes with a link between any two, a task on each node, and a sink that
+//! records packets.
 
 use imrs_protocol::{
     Cell, CellTable, Class, Contents, Incarnation, Kind, MAX_HOPS, MessageId, NodeId, NodeTable, Packet,
@@ -14,11 +15,11 @@ use std::time::{Duration, Instant};
 pub const A: NodeId = NodeId(0);
 pub const B: NodeId = NodeId(1);
 pub const C: NodeId = NodeId(2);
-/// The declared bound of every link.
+/// The declared bound of every link of these tests.
 pub const BOUND: Ticks = Ticks(2_000);
 /// How many messages can wait at the port of a task: more than a datagram holds.
 pub const QUEUED: u16 = 64;
-/// A time far above what any test here needs on a busy machine.
+/// A time far above what any of these tests needs on a busy machine.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 
 pub fn cell(name: &str) -> Arc<CellTable> {
@@ -57,8 +58,8 @@ fn bound(node: NodeId, options: UdpOptions) -> UdpLink {
     UdpLink::bind(table(node), any_port(), options).unwrap()
 }
 
-/// A link with kernel stamps, kept until the end of the process. The kernel begins to stamp some time after the first socket
-/// asks for stamps, on a busy machine long after, and stops when the last such socket is closed.
+/// A link with kernel stamps, which is kept until the end of the process. The kernel begins to stamp some time after
+/// the first socket asks for stamps, on a busy machine long after. It stops when the last such socket is closed.
 static STAMPED: LazyLock<UdpLink> = LazyLock::new(|| {
     let end = Instant::now() + PATIENCE;
     loop {
@@ -195,13 +196,13 @@ impl Memory {
         }
     }
 
-    /// Polls until this many packets came in since the last call, and returns them.
+    /// Polls until this many packets have arrived since the last call, and returns them.
     pub fn take_packets(&self, link: &impl Link, count: usize) -> Vec<(NodeId, Packet, Ticks)> {
         self.poll_until(link, |m| m.delivered() >= count);
         std::mem::take(&mut *self.packets.lock().unwrap())
     }
 
-    /// Polls until this many discards came in since the last call, and returns them.
+    /// Polls until this many discards have happened since the last call, and returns them.
     pub fn take_discards(&self, link: &impl Link, count: usize) -> Vec<LinkDiscard> {
         self.poll_until(link, |m| m.discards.lock().unwrap().len() >= count);
         std::mem::take(&mut *self.discards.lock().unwrap())

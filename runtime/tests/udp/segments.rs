@@ -1,4 +1,4 @@
-//! Tests of datagrams that leave in one call, and of datagrams that come in one call (D129).
+//! Tests of datagrams that leave in one call of the kernel, and of datagrams that arrive in one call (D129).
 
 use super::network::{in_a_network, ip, skip};
 use super::rig::{
@@ -19,8 +19,8 @@ use std::time::{Duration, Instant};
 /// Enough packets for three datagrams and a part of the fourth.
 const SEVERAL: u32 = 3 * MAX_PACKETS as u32 + 20;
 
-/// Whether the kernel cuts and merges datagrams. This asks the kernel itself, not the link. If it does not, the test is
-/// skipped with a message; if everything is required, it fails.
+/// Whether the kernel cuts and merges datagrams. This asks the kernel itself, not the link. If the kernel does not, the
+/// test is skipped with a message; with `IMRS_REQUIRE_ALL=1` it fails.
 fn cuts(link: &UdpLink) -> bool {
     let socket = raw_socket();
     let cuts = setsockopt(&socket, sockopt::UdpGsoSegment, &0).is_ok()
@@ -40,7 +40,7 @@ fn packets_of(got: &[(NodeId, Packet, Ticks)]) -> Vec<Packet> {
     got.iter().map(|got| got.1).collect()
 }
 
-/// A socket that cuts the data of a send into datagrams of so many bytes.
+/// A socket that cuts the data of a send into datagrams of this many bytes.
 fn cutting(bytes: usize) -> UdpSocket {
     let socket = raw_socket();
     setsockopt(&socket, sockopt::UdpGsoSegment, &i32::try_from(bytes).unwrap()).expect("Linux 4.18");
@@ -63,13 +63,14 @@ fn what_fills_several_datagrams_leaves_in_one_call_and_comes_in_one() {
     assert_eq!((b.count(UdpCount::DatagramsReceived), b.count(UdpCount::ReceivesSaved)), (4, 3));
     assert_eq!(b.count(UdpCount::NoStamp), 0, "all have the stamp of the first");
     assert!(memory.discards.lock().unwrap().is_empty());
-    // A lone packet leaves as always. Its counter follows the others, so no datagram counts as a repetition.
+    // A lone packet leaves in a datagram of its own, as always. Its counter follows the others, so no datagram counts
+    // as a repetition.
     assert_eq!(a.send(B, &[packet(1)]), Ok(1));
     assert_eq!(memory.take_packets(&b, 1)[0].1, packet(1));
     assert_eq!(a.count(UdpCount::SendsSaved), 3);
 }
 
-/// Every datagram is complete in itself, so it can be read by a receiver without merging, and pass any network.
+/// Every datagram is complete in itself, so a receiver without merging can read it, and every network can carry it.
 #[test]
 fn a_socket_that_puts_nothing_together_gets_whole_datagrams() {
     let (a, b) = (link(A), raw_socket());
@@ -109,9 +110,9 @@ fn a_link_that_may_not_segment_is_heard_by_one_that_puts_together_and_the_other_
     }
 }
 
-/// Packets that a thread sends together reach the link in one call, and each datagram begins with its most urgent packet.
-/// The packets of the first datagram leave first all the same: otherwise so many could overtake a message that it would
-/// count as an old one (D75).
+/// Packets that a thread sends together reach the link in one call, and each datagram begins with its most urgent
+/// packet. The packets of the first datagram leave first nevertheless: otherwise so many packets could overtake a
+/// message that it would count as an old one (D75).
 #[test]
 fn what_is_said_together_leaves_in_one_call_the_most_urgent_of_each_datagram_first() {
     let (a, b) = (Arc::new(link(A)), link(B));
@@ -119,8 +120,8 @@ fn what_is_said_together_leaves_in_one_call_the_most_urgent_of_each_datagram_fir
         return;
     }
     a.set_address(B, Some(b.local_address())).unwrap();
-    // The event is taken here. Otherwise the receiving thread might learn the address at any later time, and send waiting
-    // packets just then.
+    // The poll ends with the event of the new address here. Otherwise the receiving thread might get this event at any
+    // later time, and send waiting packets just then.
     assert_eq!(a.poll(&Memory::default(), None), PollEnd::Ready);
     let node = Runtime::builder(cell("udp"), A).incarnation(Incarnation(1), false).link(a.clone());
     let node = node.task("x", |ctx| {
@@ -185,7 +186,7 @@ fn of_what_came_in_one_only_what_is_wrong_is_dropped() {
     let reasons = [LinkDiscard::Checksum, LinkDiscard::Replayed, LinkDiscard::NotImrs];
     assert_eq!(memory.take_discards(&b, 3), reasons);
     assert_eq!((b.count(UdpCount::DatagramsReceived), b.count(UdpCount::ReceivesSaved)), (6, 5));
-    // The first two datagrams are longer than any envelope, and the last is too short.
+    // The first two of these datagrams are longer than any envelope, and the last is too short.
     let mut long = sealed(&envelope(9), &[encoded(1); MAX_PACKETS]);
     long.push(0);
     let long = [long.as_slice(), &long, &long[..3]].concat();
@@ -195,7 +196,7 @@ fn of_what_came_in_one_only_what_is_wrong_is_dropped() {
     assert_eq!(memory.delivered(), 0);
 }
 
-/// Datagrams of different neighbours and incarnations are told apart within one receive call.
+/// The link distinguishes datagrams of different neighbours and incarnations within one receive call.
 #[test]
 fn what_came_in_one_need_not_be_of_one() {
     let (b, memory) = (link(B), Memory::default());
@@ -216,8 +217,8 @@ fn what_came_in_one_need_not_be_of_one() {
     assert_eq!(b.count(UdpCount::ReceivesSaved), 5);
 }
 
-/// Datagrams that a neighbour sent in one call, and that arrive in one, share one charge and one instant. Otherwise, if the clock
-/// advanced between two of them, the packets of the later one would count as older, and could be taken first.
+/// Datagrams that a neighbour sent in one call, and that arrive in one call, share one charge and one instant. Otherwise, if
+/// the clock advanced between two of them, the packets of the later datagram would count as older, and could be taken first.
 #[test]
 fn what_came_in_one_is_taken_in_the_order_in_which_it_was_sent() {
     const TIMES: u32 = 50;
@@ -239,7 +240,7 @@ fn what_came_in_one_is_taken_in_the_order_in_which_it_was_sent() {
             };
             let all: Vec<_> = (0..SEGMENTS).map(datagram).collect();
             cutting(all[0].len()).send_to(&all.concat(), to).expect("sent");
-            // The messages must wait for the task, and not the task for them.
+            // This delay makes the messages wait for the task, and not the task for the messages.
             ctx.delay(Duration::from_millis(2))?;
             for n in 0..u32::from(QUEUED) {
                 let message = ctx.receive(None, Some(PATIENCE))?.expect("nothing is lost");
@@ -268,7 +269,7 @@ fn what_waited_in_one_is_charged_as_the_first_of_it() {
     assert!(got.iter().all(|got| u128::from(got.2.0 - BOUND.0) >= wait.as_micros()), "{:?}", got[0].2);
 }
 
-/// If a network takes no full datagram in one piece, the kernel refuses to cut, and takes each datagram by itself.
+/// If a network takes no full datagram in one piece, the kernel refuses to cut a send, and takes each datagram by itself.
 #[test]
 fn where_the_kernel_refuses_to_cut_each_datagram_leaves_by_itself() {
     in_a_network(&["link set lo mtu 1280", "link set lo up"], || {
@@ -289,8 +290,8 @@ fn where_the_kernel_refuses_to_cut_each_datagram_leaves_by_itself() {
     });
 }
 
-/// The socket was set to cut, and then the network changes. Some kernels then refuse even a send that fits into one
-/// datagram.
+/// The kernel was asked to cut the sends of this socket, and then the network changes. Some kernels then refuse even a
+/// send that fits into one datagram.
 #[test]
 fn where_the_kernel_no_longer_cuts_a_lone_datagram_still_leaves() {
     in_a_network(&["link set lo up"], || {

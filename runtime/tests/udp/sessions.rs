@@ -1,4 +1,5 @@
-//! Tests of sessions: a node always hears its neighbours again, and no dead session takes over (D144).
+//! Tests of sessions: a node always accepts its neighbours' datagrams again after a restart, and no dead session takes
+//! over (D144).
 
 use super::rig::{
     A, B, C, Memory, PATIENCE, any_port, cell, digests, encoded, envelope, introduced, link, packet, pair,
@@ -22,7 +23,7 @@ pub fn drive(links: &[(&UdpLink, &Memory)], mut done: impl FnMut() -> bool) {
     }
 }
 
-/// Lets all links receive until they are at rest: a datagram on the loopback arrives at once.
+/// Lets all links receive until no more datagrams arrive: a datagram on the loopback arrives at once.
 fn settle(links: &[(&UdpLink, &Memory)]) {
     let came = || links.iter().map(|(link, _)| received(link)).sum::<u64>();
     let mut before = u64::MAX;
@@ -50,7 +51,7 @@ fn throw(bytes: &[u8], at: &UdpLink) {
     raw_socket().send_to(bytes, at.local_address()).unwrap();
 }
 
-/// Lets both nodes hear each other.
+/// Lets both nodes receive a datagram from each other.
 fn acquainted(a: &UdpLink, b: &UdpLink) {
     let (at_a, at_b) = (Memory::default(), Memory::default());
     b.send(A, &[packet(1)]).unwrap();
@@ -59,7 +60,7 @@ fn acquainted(a: &UdpLink, b: &UdpLink) {
     at_b.take_packets(b, 1);
 }
 
-/// Lets A send packets to B, one by one, until B gets one. Returns how many were lost before that.
+/// Lets A send packets to B, one by one, until B gets one. Returns how many packets were lost before that.
 fn lost_until_heard(a: &UdpLink, b: &UdpLink, at_b: &Memory, first: u32) -> u32 {
     let at_a = Memory::default();
     for number in first..first + 100 {
@@ -72,7 +73,7 @@ fn lost_until_heard(a: &UdpLink, b: &UdpLink, at_b: &Memory, first: u32) -> u32 
     panic!("it stays deaf");
 }
 
-/// A regression test: a datagram for B that reached C instead once cost C all 74 later ones.
+/// A regression test: a datagram for B that reached C instead once made C drop all 74 later datagrams.
 #[test]
 fn a_datagram_for_another_node_changes_nothing_and_is_named() {
     let ((a, b), c) = (pair(), link(C));
@@ -91,7 +92,7 @@ fn a_datagram_for_another_node_changes_nothing_and_is_named() {
     assert_eq!(*memory.discards.lock().unwrap(), []);
 }
 
-/// An envelope with a counter far ahead that brings no packet of this cell.
+/// A datagram whose counter is far ahead, and that brings no packet of this cell.
 #[test]
 fn a_datagram_without_a_packet_of_this_cell_changes_nothing() {
     let (b, memory) = (link(B), Memory::default());
@@ -107,8 +108,8 @@ fn a_datagram_without_a_packet_of_this_cell_changes_nothing() {
 #[test]
 fn a_node_that_lost_its_state_is_heard_after_one_exchange() {
     for (before, after) in [(200, 0), (5, 5), (130, 2), (7, 8)] {
-        // Each iteration has a new link, because what was heard earlier would count, and because one link asks only so
-        // often.
+        // Each iteration has a new link, because datagrams of earlier iterations would count, and because one link asks
+        // only once in a while.
         let (b, at_b) = (link(B), Memory::default());
         let a = started(A, before, true);
         let (a, b) = (a, &b);
@@ -167,7 +168,7 @@ fn a_datagram_of_a_dead_session_takes_nothing_over() {
     }
 }
 
-/// A node that has just begun cannot tell an old datagram from a first one. The next exchange corrects that.
+/// A node that has just begun cannot distinguish an old datagram from a first one. The next exchange corrects that.
 #[test]
 fn a_dead_session_that_is_heard_first_is_replaced() {
     let (a, b) = pair();
@@ -180,7 +181,7 @@ fn a_dead_session_that_is_heard_first_is_replaced() {
     let mut dead_of_b = vec![0; 2_000];
     let length = between.recv(&mut dead_of_b).unwrap();
     drop((a, b));
-    // Each node hears the dead session of the other one first.
+    // Each node first receives a datagram of the dead session of the other node.
     let (a, b) = introduced(started(A, 3, true), started(B, 3, true));
     let (at_a, at_b) = (Memory::default(), Memory::default());
     throw(&dead_of_a, &b);
@@ -243,7 +244,7 @@ fn nodes_of_two_cells_both_say_that_they_do_not_talk() {
     }
 }
 
-/// After one datagram from a cell with other statements, the right traffic goes on, and the refusal ends.
+/// After one datagram from a cell with other statements, the node still accepts the right datagrams, and the refusal ends.
 #[test]
 fn a_refusal_ends_with_what_is_admitted() {
     let (a, b) = pair();
@@ -288,7 +289,7 @@ fn a_node_that_nobody_answers_goes_on() {
     let (start, time) = (Instant::now(), Duration::from_millis(50));
     assert_eq!(a.ask_incarnations(time), []);
     assert!(start.elapsed() >= time);
-    // Without an address there is no neighbour that could be asked.
+    // Without an address there is no neighbour to ask.
     assert_eq!(link(B).ask_incarnations(PATIENCE), []);
 }
 

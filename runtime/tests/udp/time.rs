@@ -28,12 +28,13 @@ fn a_datagram_left_in_the_socket_is_charged_its_wait() {
     let (_, _, charge) = memory.take_packets(&b, 1)[0];
     let most = begin.elapsed();
     assert!(charge.0 >= micros(LONG) + BOUND.0, "{charge} us for a wait of {LONG:?}");
-    // The kernel's stamp lies in between, however long the machine took for the other work.
+    // The time by the kernel's stamp lies between the two bounds, however long the machine took for the other work.
     assert!(charge.0 <= micros(most) + BOUND.0 + 100_000, "{charge} us for a wait of at most {most:?}");
     assert_eq!(b.count(UdpCount::NoStamp), 0, "the kernel gives stamps");
 }
 
-/// At the first datagram nothing is known of the sender's clock, so only the kernel's stamp shows the wait.
+/// At the first datagram the receiver does not know the sender's clock, so only the kernel's stamp shows how long the
+/// datagram waited.
 #[test]
 fn the_stamp_alone_tells_how_long_each_datagram_waited() {
     let (a, b) = (link(A), link(B));
@@ -54,7 +55,7 @@ fn the_stamp_alone_tells_how_long_each_datagram_waited() {
 fn a_sender_stopped_between_its_clock_and_the_socket_is_charged() {
     let (a, b) = pair();
     let (at_a, at_b) = (Memory::default(), Memory::default());
-    // By a round trip B learns the clock of A.
+    // B learns the clock of A by a round trip.
     b.send(A, &[packet(1)]).unwrap();
     at_a.take_packets(&a, 1);
     a.send(B, &[packet(2)]).unwrap();
@@ -66,7 +67,7 @@ fn a_sender_stopped_between_its_clock_and_the_socket_is_charged() {
     assert!(charge.0 >= micros(LONG), "{charge} us");
 }
 
-/// The same test before any echo, because B never sends.
+/// The same test without any echo, because B never sends.
 #[test]
 fn a_stopped_sender_is_charged_without_a_round_trip_too() {
     let (a, b) = (link(A), link(B));
@@ -85,7 +86,7 @@ fn a_stopped_sender_is_charged_without_a_round_trip_too() {
     assert!(charge.0 + micros(first) >= micros(LONG), "{charge} us, where the first took {first:?}");
 }
 
-/// The charge without any fault: the declared bound, and what this machine adds to a loopback round trip.
+/// Without any fault, the charge is the declared bound and the time that this machine needs for a loopback round trip.
 #[test]
 fn a_quick_round_trip_costs_little_more_than_the_declared_bound() {
     let (a, b) = pair();
@@ -107,7 +108,7 @@ fn a_quick_round_trip_costs_little_more_than_the_declared_bound() {
 }
 
 /// All packets of one datagram have one instant and one charge. Otherwise a later message would count as older, and go
-/// first, if the clock advanced between the two.
+/// first, if the clock advanced between two packets.
 #[test]
 fn what_came_together_is_taken_in_the_order_in_which_it_was_sent() {
     const DATAGRAMS: u32 = 50;
@@ -120,7 +121,7 @@ fn what_came_together_is_taken_in_the_order_in_which_it_was_sent() {
         for datagram in 0..DATAGRAMS {
             let packets: Vec<_> = (0..together).map(|n| encoded(datagram * together + n)).collect();
             socket.send_to(&sealed(&envelope(u64::from(datagram)), &packets), to).expect("sent");
-            // The messages must wait for the task, and not the task for them.
+            // This delay makes the messages wait for the task, and not the task for the messages.
             ctx.delay(Duration::from_millis(2))?;
             for n in 0..together {
                 let message = ctx.receive(None, Some(PATIENCE))?.expect("nothing is lost");

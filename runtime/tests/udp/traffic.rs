@@ -19,7 +19,7 @@ fn packets_arrive_as_they_were_sent() {
     assert!(memory.discards.lock().unwrap().is_empty());
 }
 
-/// Node A sends a packet to B, which forwards its copy to C. A bit flips in B's memory.
+/// Node A sends a packet to B, which forwards its copy of the packet to C. A bit of the copy flips in B's memory.
 #[test]
 fn what_falls_over_in_a_relay_is_turned_away_where_the_packet_ends() {
     let ((a, b), c) = (pair(), link(C));
@@ -65,7 +65,7 @@ fn a_neighbour_without_an_address_is_not_ready() {
     assert_eq!(a.send(B, &[packet(1)]), Ok(1));
 }
 
-/// The socket that the neighbour has for this node gets the datagram, and no other socket does (D155).
+/// The socket of the neighbour that is connected to this node gets the datagram, and no other socket gets it (D155).
 #[test]
 fn datagrams_leave_from_the_address_that_receives() {
     for any in ["127.0.0.1:0", "0.0.0.0:0"] {
@@ -171,7 +171,7 @@ fn whoever_waits_takes_over_the_socket() {
     thread::scope(|s| {
         let poll = || loop {
             let end = b.poll(&memory, Some(Instant::now() + PATIENCE));
-            // `Ready` reports only that a neighbour got an address.
+            // `Ready` only reports that a neighbour got an address, so this polls again.
             if end != PollEnd::Ready {
                 return end;
             }
@@ -240,7 +240,7 @@ fn a_node_says_itself_that_it_restarted() {
 fn errors_of_the_network_are_counted_and_survived() {
     let (a, b) = pair();
     let memory = Memory::default();
-    // The address and the port belong to this test, so that no other process takes the port meanwhile.
+    // The address and the port belong to this test alone, so that no other process takes the port meanwhile.
     let [.., high, low] = std::process::id().to_be_bytes();
     let own = UdpSocket::bind((Ipv4Addr::new(127, 77, high, low), 0)).unwrap();
     let gone = own.local_addr().unwrap();
@@ -249,9 +249,9 @@ fn errors_of_the_network_are_counted_and_survived() {
     for n in 0..20 {
         assert_eq!(a.send(C, &[packet(n)]), Ok(1), "nobody is there, which only the counters need to know");
     }
-    // The kernel reports the error of a datagram when the next one is sent.
+    // The kernel reports the error of a datagram when the next datagram is sent.
     assert!(a.count(UdpCount::SendRefused) > 0);
-    // Once there is a socket again, no datagram is lost because of an earlier error.
+    // Once there is a socket at the address again, no datagram is lost because of an earlier error.
     let back = UdpLink::bind(table(C), gone, UdpOptions::new(Incarnation(1), false)).unwrap();
     assert_eq!(a.send(C, &[packet(20)]), Ok(1));
     assert_eq!(memory.take_packets(&back, 1)[0].1, packet(20));
@@ -273,7 +273,7 @@ fn what_the_kernel_drops_is_counted() {
         a.send(B, &[packet(n)]).unwrap();
     }
     let memory = Memory::default();
-    // The kernel reports drops with a datagram that comes after them.
+    // The kernel reports drops with the next datagram that arrives after them.
     while b.count(UdpCount::KernelDropped) == 0 {
         assert_eq!(b.poll(&memory, Some(Instant::now() + PATIENCE)), PollEnd::Received);
         a.send(B, &[packet(200)]).unwrap();

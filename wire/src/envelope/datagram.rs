@@ -11,7 +11,7 @@ use imrs_protocol::PACKET_BYTES;
 #[derive(Clone, Debug)]
 pub struct Datagram {
     bytes: [u8; MAX_DATAGRAM_BYTES],
-    /// At most [`MAX_PACKETS`].
+    /// The number of packets, at most [`MAX_PACKETS`].
     packets: u8,
     /// The encrypted datagram, if keys are used.
     closed: Option<Box<Closed>>,
@@ -20,7 +20,7 @@ pub struct Datagram {
 #[derive(Clone, Debug)]
 struct Closed {
     bytes: [u8; MAX_KEYED_BYTES],
-    /// Zero: the datagram was sealed without keys.
+    /// The length of the encrypted datagram; zero if the datagram was sealed without keys.
     length: usize,
 }
 
@@ -68,9 +68,9 @@ impl Datagram {
         self.sealed()
     }
 
-    /// Writes the header of mode 1, and encrypts the rest by `close`: this function encrypts its first argument into
-    /// the second, appends a tag, and returns how many bytes it wrote. Returns the bytes to send. `index` is the
-    /// receiver's number of the session.
+    /// Writes the header of mode 1, and encrypts the remaining bytes by `close`: this function encrypts its first
+    /// argument into the second, appends a tag, and returns how many bytes it wrote. Returns the bytes to send. `index`
+    /// is the receiver's number of the session.
     ///
     /// # Errors
     /// The errors of `close`.
@@ -101,7 +101,7 @@ impl Datagram {
         }
     }
 
-    /// Where the checksum begins.
+    /// The offset at which the checksum begins.
     const fn end(&self) -> usize {
         HEADER_BYTES + self.len() * PACKET_BYTES
     }

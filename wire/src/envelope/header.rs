@@ -1,4 +1,4 @@
-//! Encodes and decodes the header of mode 0; the parent module documents the layout.
+//! Encodes and decodes the header of a datagram in mode 0; the parent module documents the layout.
 
 use super::{
     COUNTER_END, Digests, Echo, Envelope, EnvelopeError, Greeting, HEADER_BYTES, MAGIC, MODE_CHECKSUM,
@@ -6,7 +6,7 @@ use super::{
 };
 use imrs_protocol::{Incarnation, NodeId};
 
-/// Offset of the number of packets.
+/// The offset of the number of packets.
 pub(super) const COUNT_AT: usize = 18;
 const PURPOSE_MASK: u8 = 0b11;
 const FLAG_ECHO: u8 = 1 << 2;
@@ -25,7 +25,8 @@ fn eight(h: &Header, at: usize) -> u64 {
     u64::from(four(h, at)) | u64::from(four(h, at + 4)) << 32
 }
 
-/// The purpose that the flags of a datagram and its extra byte say, whether its sender was restarted, and whether it has an echo.
+/// Decodes the flags of a datagram and its extra byte: the purpose, whether the sender was restarted, and whether there
+/// is an echo.
 pub(super) fn purpose_of(flags: u8, extra: u8) -> Result<(Purpose, bool, bool), EnvelopeError> {
     let flag = |flag: u8| flags & flag != 0;
     let purpose = match flags & PURPOSE_MASK {

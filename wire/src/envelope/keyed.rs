@@ -1,5 +1,5 @@
-//! The layout of mode 1: datagrams that are encrypted and authenticated with keys (D191). This file has the
-//! layout alone, without any cryptography.
+//! The layout of mode 1: datagrams that are encrypted and authenticated with keys (D191). This file defines only the
+//! layout, without any cryptography.
 //!
 //! ```text
 //!  0..2   magic 9d 4d
@@ -44,19 +44,19 @@ use super::{
 };
 use imrs_protocol::{Incarnation, NodeId, PACKET_BYTES};
 
-/// Bytes of a datagram that are in clear.
+/// The number of bytes of a datagram that are in clear.
 pub const CLEAR_BYTES: usize = 16;
-/// Bytes of a tag or of a keyed hash.
+/// The length of a tag or of a keyed hash, in bytes.
 pub const TAG_BYTES: usize = 16;
-/// Bytes of a nonce or of a cookie.
+/// The length of a nonce or of a cookie, in bytes.
 pub const NONCE_BYTES: usize = 16;
-/// Bytes of a Noise message of a handshake: an ephemeral key, 8 bytes for the other side, a tag.
+/// The length of a Noise message of a handshake, in bytes: an ephemeral key, 8 bytes for the other side, a tag.
 pub const NOISE_BYTES: usize = 32 + 8 + TAG_BYTES;
-/// The longest datagram of mode 1.
+/// The length of the longest datagram of mode 1, in bytes.
 pub const MAX_KEYED_BYTES: usize = CLEAR_BYTES + INNER_BYTES + MAX_PACKETS * PACKET_BYTES + TAG_BYTES;
-/// The longest datagram that makes a session.
+/// The length of the longest datagram that makes a session, in bytes.
 pub const MAX_HANDSHAKE_BYTES: usize = BODY_AT + NONCE_BYTES + 4 + NOISE_BYTES + TAG_BYTES;
-/// Bytes before the packets within the encrypted part.
+/// The number of bytes before the packets within the encrypted part.
 pub(super) const INNER_BYTES: usize = 20;
 
 const KIND_AT: usize = 15;
@@ -81,11 +81,11 @@ pub enum Keyed<'a> {
 /// A datagram of the handshake that makes a session, or that refuses one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Handshake<'a> {
-    /// The node that sent it.
+    /// The node that sent the datagram.
     pub sender: NodeId,
-    /// The node that it is for.
+    /// The node for which the datagram is.
     pub receiver: NodeId,
-    /// What the initiator has drawn for this attempt. All datagrams of the attempt have it.
+    /// The number that the initiator has drawn for this attempt. All datagrams of the attempt have it.
     pub nonce: [u8; NONCE_BYTES],
     /// The content of the datagram.
     pub step: Step<'a>,
@@ -96,18 +96,18 @@ pub struct Handshake<'a> {
 pub enum Step<'a> {
     /// The sender wants a session.
     Hello(Digests),
-    /// The receiver shall repeat this with its initiation.
+    /// The sender's cookie. The receiver must repeat it in its initiation.
     Cookie([u8; NONCE_BYTES]),
     /// The first Noise message.
     Initiation {
-        /// The cookie that the receiver has given.
+        /// The cookie that the receiver of this datagram has given.
         cookie: [u8; NONCE_BYTES],
         /// The sender's index of the session.
         index: u32,
         /// The Noise message.
         noise: &'a [u8; NOISE_BYTES],
     },
-    /// The second Noise message: with it, both have the keys.
+    /// The second Noise message: with it, both nodes have the keys of the session.
     Response {
         /// The receiver's index of the session.
         initiator: u32,
@@ -116,7 +116,7 @@ pub enum Step<'a> {
         /// The Noise message.
         noise: &'a [u8; NOISE_BYTES],
     },
-    /// The sender makes no session with the receiver.
+    /// The sender refuses to make a session with the receiver.
     Refusal {
         /// The sender's digests.
         digests: Digests,
@@ -182,7 +182,7 @@ impl<'a> Step<'a> {
         }
     }
 
-    /// Writes its bytes. Returns its number and its length.
+    /// Writes the bytes of this step. Returns the step's number and its length.
     fn emit(&self, to: &mut [u8]) -> (u8, usize) {
         let mut end = 0;
         let mut put = |bytes: &[u8]| {
@@ -232,7 +232,7 @@ pub struct HandshakeBytes {
 }
 
 impl HandshakeBytes {
-    /// Encodes a datagram. `hash` closes the bytes before it.
+    /// Encodes a datagram of a handshake. `hash` computes the keyed hash of the bytes before it.
     pub fn new(of: &Handshake<'_>, hash: impl FnOnce(&[u8]) -> [u8; TAG_BYTES]) -> Self {
         let mut bytes = [0; MAX_HANDSHAKE_BYTES];
         bytes[..2].copy_from_slice(&MAGIC);
@@ -267,7 +267,7 @@ pub(super) fn clear(index: u32, counter: u64) -> [u8; CLEAR_BYTES] {
     head
 }
 
-/// The encrypted head of a transport datagram.
+/// The first bytes of the encrypted part of a transport datagram.
 pub(super) fn inner(envelope: &Envelope, count: u8) -> [u8; INNER_BYTES] {
     let mut head = [0; INNER_BYTES];
     let (flags, extra) = flags_of(envelope);
@@ -280,18 +280,18 @@ pub(super) fn inner(envelope: &Envelope, count: u8) -> [u8; INNER_BYTES] {
 /// The fields that are the same in all datagrams of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bound {
-    /// What both nodes have in common.
+    /// The digests that both nodes have in common.
     pub digests: Digests,
-    /// The sender, and its start.
+    /// The sender, and its session without keys: one start of that node.
     pub sender: (NodeId, Session),
-    /// The receiver, and its start.
+    /// The receiver, and its session without keys: one start of that node.
     pub receiver: (NodeId, Session),
 }
 
-/// Decodes what a session has decrypted.
+/// Decodes the bytes that a session has decrypted.
 ///
 /// # Errors
-/// Says why it is no content of a datagram. Never panics, whatever the bytes are.
+/// Says why the bytes are not the content of a datagram. Never panics, whatever the bytes are.
 pub fn open<'a>(plain: &'a [u8], counter: u64, bound: &Bound) -> Result<Opened<'a>, EnvelopeError> {
     let length = EnvelopeError::Length(plain.len());
     let (head, body) = plain.split_first_chunk::<INNER_BYTES>().ok_or(length)?;

@@ -32,13 +32,13 @@
 //! shorter.
 //!
 //! The packets' own checksum uses another polynomial, because two nested checksums of one polynomial detect no more
-//! errors than one. The outer one detects up to five flipped bits in the longest datagram (a test computes this),
-//! including the fields that relays change. A checksum does not detect appended zeros, so the header contains the
-//! number of packets.
+//! errors than one. The envelope's checksum detects up to five flipped bits in the longest datagram (a test computes
+//! this), including bits of the fields that relays change. A checksum does not detect appended zeros, so the header
+//! contains the number of packets.
 //!
-//! [`EnvelopeError`] names the reason for which a datagram is dropped. [`read`] checks version and mode before the
-//! checksum, because another version may use another checksum. [`Opened::check`] runs after it, so damage is never mistaken
-//! for another cell. It compares the digests before the node ids, because the ids of another cell mean nothing.
+//! [`EnvelopeError`] names the reason for which a datagram is dropped. [`read`] checks version and mode before the checksum,
+//! because another version may use another checksum. [`Opened::check`] runs after [`read`], so damage is never mistaken for
+//! another cell. It compares the digests before the node ids, because the ids of another cell mean nothing.
 
 mod datagram;
 mod error;
@@ -58,30 +58,30 @@ use std::fmt;
 pub const MAGIC: [u8; 2] = [0x9d, 0x4d];
 /// The envelope format of this library.
 pub const VERSION: u8 = 2;
-/// The most packets in one datagram.
+/// The greatest number of packets in one datagram.
 pub const MAX_PACKETS: usize = 44;
-/// Bytes that an envelope adds to its packets, in mode 0.
+/// The number of bytes that an envelope adds to its packets, in mode 0.
 pub const OVERHEAD_BYTES: usize = HEADER_BYTES + CHECKSUM_BYTES;
-/// The shortest datagram: no packet.
+/// The length of the shortest datagram, which has no packet, in bytes.
 pub const MIN_DATAGRAM_BYTES: usize = OVERHEAD_BYTES;
-/// The longest datagram.
+/// The length of the longest datagram, in bytes.
 pub const MAX_DATAGRAM_BYTES: usize = OVERHEAD_BYTES + MAX_PACKETS * PACKET_BYTES;
-/// Exclusive upper bound of datagram counters: 56 bits, which no node ever uses up.
+/// Datagram counters are below this bound: 56 bits, which no node ever uses up.
 pub const COUNTER_END: u64 = 1 << 56;
 
 const HEADER_BYTES: usize = 60;
 const CHECKSUM_BYTES: usize = 4;
 const MODE_CHECKSUM: u8 = 0;
-/// The mode with keys.
+/// The number of the mode with keys.
 pub const MODE_KEYS: u8 = 1;
 
-/// The digests that must be equal on two nodes before they talk.
+/// The digests that must be equal on two nodes before they communicate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Digests {
-    /// Digest of the cell's declarations, computed over its canonical table.
+    /// The digest of the cell's declarations, computed over its canonical table.
     pub cell: u32,
-    /// Digest of the cell's statements: the compiled scripts of all tasks. Zero if no task has a script. Of an extern
-    /// task it covers only the declaration.
+    /// The digest of the cell's statements: the compiled scripts of all tasks. Zero if no task has a script. Of an
+    /// extern task it covers only the declaration.
     pub statements: u32,
 }
 
@@ -92,7 +92,7 @@ impl fmt::Display for Digests {
 }
 
 /// Identifies one start of one node: 64 random bits, drawn each time a node opens its socket. Sessions have no order;
-/// only equality means something.
+/// they can only be compared for equality.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Session(pub u64);
 
@@ -101,7 +101,7 @@ pub struct Session(pub u64);
 pub struct Envelope {
     /// The node that sent this datagram: the previous hop, not the packets' source.
     pub sender: NodeId,
-    /// The node that this datagram is for: the next hop, not the packets' destination.
+    /// The node for which this datagram is: the next hop, not the packets' destination.
     pub receiver: NodeId,
     /// The incarnation of the sender.
     pub incarnation: Incarnation,
@@ -114,24 +114,24 @@ pub struct Envelope {
     /// The sender's monotonic clock, in microseconds. It is not later than the instant at which the packets' remaining
     /// times hold.
     pub tx_mono: u64,
-    /// The receiver's clock, as the sender last heard it.
+    /// The receiver's clock, as the sender last received it.
     pub echo: Option<Echo>,
-    /// What the datagram is for.
+    /// The purpose of the datagram.
     pub purpose: Purpose,
 }
 
-/// A reading of the receiver's own clock, which the sender returns to it. It is the `tx_mono` of the receiver's last
-/// datagram that reached the sender, plus the time for which the sender has held it. So at the sender's `tx_mono` the
+/// A reading of the receiver's own clock, which the sender returns to it. It is the `tx_mono` of the receiver's last datagram
+/// that reached the sender, plus the time for which the sender has held it. So when the sender's clock showed `tx_mono`, the
 /// receiver's clock showed `mono` or more. The round trip took the receiver's clock on arrival minus `mono`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Echo {
-    /// The session of the receiver that this clock belongs to: each session's clock has its own origin.
+    /// The session of the receiver to which this clock belongs: each session's clock has its own origin.
     pub session: Session,
     /// The receiver's clock, in microseconds.
     pub mono: u64,
 }
 
-/// What a datagram is for.
+/// The purpose of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
     /// The datagram carries packets, at least one.
@@ -142,30 +142,30 @@ pub enum Purpose {
     Refusal(Refused),
 }
 
-/// What the sender of a greeting tells about itself and about the receiver.
+/// The statements of a greeting about its sender and its receiver.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Greeting {
     /// Whether the receiver must answer with a greeting. An answer itself sets this to false.
     pub wants_answer: bool,
-    /// Whether the sender has no incarnation yet. It then asks for the remembered one, and [`Envelope::incarnation`]
-    /// means nothing.
+    /// Whether the sender does not know its incarnation yet. It then asks for the incarnation that the receiver
+    /// remembers, and [`Envelope::incarnation`] means nothing.
     pub uncounted: bool,
     /// The newest incarnation of the receiver that the sender remembers.
     pub remembers: Option<Incarnation>,
 }
 
-/// Why a node drops all datagrams of another.
+/// Why a node drops all datagrams of another node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Refused {
     /// The cell's declarations differ.
     OtherCell,
     /// The declarations are equal, but the statements differ.
     OtherStatements,
-    /// The datagram names another receiver.
+    /// The datagram names another node as its receiver.
     Misdelivered,
-    /// The two have other keys: of the cell, or of one of the nodes.
+    /// The two nodes have different keys: of the cell, or of one of the nodes.
     OtherKeys,
-    /// One of the two has keys, and the other has none.
+    /// One of the two nodes has keys, and the other node has none.
     OtherMode,
     /// Their envelopes have different versions.
     OtherVersion,
@@ -313,9 +313,10 @@ mod tests {
     use super::*;
     use std::collections::HashSet;
 
-    /// The polynomial was chosen for this property: it detects any two to five flipped bits in the longest datagram. An odd
-    /// number is detected because the polynomial is a multiple of x + 1. Two or four bits, shifted so that the lowest is
-    /// bit 0, go unnoticed only where `1 + x^a = x^b + x^c` (or `1 = x^a`) for powers below the datagram's length.
+    /// The polynomial was chosen for this property: it detects any two to five flipped bits in the longest datagram. An
+    /// odd number of flipped bits is detected because the polynomial is a multiple of x + 1. Two or four flipped bits,
+    /// shifted so that the lowest is bit 0, go unnoticed only if `1 + x^a = x^b + x^c` (or `1 = x^a`) for powers below
+    /// the datagram's length.
     #[test]
     fn up_to_five_flipped_bits_of_the_longest_datagram_are_noticed() {
         const POLY: u32 = 0x741b_8cd7;
@@ -330,7 +331,7 @@ mod tests {
         }
         let pairs: HashSet<u32> = powers[1..].iter().map(|&a| 1 ^ a).collect();
         assert!(pairs.len() == bits - 1 && !pairs.contains(&0), "two bits");
-        // A bitmap over the low bits filters out almost all of the 67 million look-ups.
+        // A bitmap over the low bits filters out almost all of the 67 million look-ups in the table.
         const FILTER_BITS: u32 = 22;
         let slot = |value: u32| (value & ((1 << FILTER_BITS) - 1)) as usize;
         let mut filter = vec![false; 1 << FILTER_BITS];

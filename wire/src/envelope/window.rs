@@ -1,6 +1,6 @@
 //! A replay window: which datagrams of one incarnation of a sender have already arrived.
 
-/// How far a datagram's counter may lie behind the newest one and still be checked for repetition.
+/// How far a datagram's counter may be behind the newest counter and still be checked for repetition.
 pub const WINDOW: u64 = 1024;
 
 const WORD: u64 = u64::BITS as u64;
@@ -53,14 +53,14 @@ impl ReplayWindow {
         counter >= self.next
     }
 
-    /// Accepts `counter` and continues from it, although newer counters were accepted, because those were wrong. Every
-    /// earlier counter counts as seen.
+    /// Accepts `counter` and continues from it, although the window accepted newer counters, because those were wrong.
+    /// Every earlier counter counts as seen.
     pub const fn resume(&mut self, counter: u64) {
         self.next = counter.saturating_add(1);
         self.seen = [u64::MAX; WORDS];
     }
 
-    /// Makes `counter` the newest, and forgets the counters that leave the window.
+    /// Makes `counter` the newest counter, and forgets the counters that leave the window.
     fn advance(&mut self, counter: u64) {
         if counter - self.next >= WINDOW {
             self.seen = [0; WORDS];
@@ -88,7 +88,7 @@ impl ReplayWindow {
 
     const fn place(counter: u64) -> (usize, u64) {
         let bit = counter % WINDOW;
-        // The index is below WORDS, so it fits any usize.
+        // The index is below WORDS, so it fits into any usize.
         ((bit / WORD) as usize, 1 << (bit % WORD))
     }
 }
@@ -142,7 +142,8 @@ mod tests {
     }
 
     proptest! {
-        /// Compares the window with the plain rule: a counter is accepted if it is unseen and not too far behind the newest.
+        /// The window behaves as the plain rule: a counter is accepted if it is unseen and not too far behind the
+        /// newest counter.
         #[test]
         fn behaves_as_an_unbounded_memory_would(
             steps in proptest::collection::vec((0..3000_u64, any::<bool>()), 1..400), start in 0..1_u64 << 55,

@@ -1,4 +1,4 @@
-//! Decodes frames. Decoding is total: any bytes give a value or a [`DecodeError`].
+//! Decodes frames. Decoding never fails otherwise than with a [`DecodeError`], whatever the bytes are.
 
 use super::version::Version;
 use serde::de::DeserializeOwned;
@@ -7,10 +7,10 @@ use thiserror::Error;
 /// Why bytes are not a frame of this protocol.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum DecodeError {
-    /// The first frame does not begin with the magic: the other side speaks something else.
+    /// The first frame does not begin with the magic bytes: the other side uses another protocol.
     #[error("the other side does not speak imrs-obs")]
     NotObs,
-    /// The other side speaks another major version. The decoder read nothing after the version.
+    /// The other side uses another major version. The decoder read nothing after the version.
     #[error("the other side speaks imrs-obs {theirs}, this program {ours}")]
     OtherMajor {
         /// The version of the other side.
@@ -18,7 +18,7 @@ pub enum DecodeError {
         /// The version of this program.
         ours: Version,
     },
-    /// This version does not know the frame's kind. The stream is still in step, so the reader may read the next frame.
+    /// This version does not know the frame's kind. The stream is still intact, so the reader may read the next frame.
     #[error("a frame of unknown kind {0}")]
     UnknownKind(u32),
     /// The frame's contents do not match its kind.

@@ -21,7 +21,7 @@ pub struct NodeName {
 pub struct LinkName {
     /// The node at one end of the link.
     pub a: NodeId,
-    /// The other end.
+    /// The node at the other end of the link.
     pub b: NodeId,
     /// The declared upper bound of the link delay.
     pub delay: Ticks,
@@ -36,7 +36,7 @@ pub struct TaskName {
     pub node: NodeId,
 }
 
-/// One end of a port.
+/// A task that has a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PartyName {
     /// The id of the task.
@@ -58,7 +58,7 @@ pub struct PortName {
     pub capacity: u16,
     /// The margin of a `waitfor`; zero on other ports.
     pub margin: Ticks,
-    /// Owner first, then the users; of a `waitfor`, all members.
+    /// The tasks that have the port: the owner first, then the users; of a `waitfor`, all members.
     pub parties: Vec<PartyName>,
 }
 
@@ -67,7 +67,7 @@ pub struct PortName {
 pub struct Table {
     /// The name of the cell.
     pub cell: String,
-    /// The declared lateness of timers.
+    /// The tick of the cell: the declared lateness of timers.
     pub tick: Ticks,
     /// The nodes of the cell.
     pub nodes: Vec<NodeName>,
@@ -136,22 +136,22 @@ pub enum Goodbye {
 /// The last frame before the node closes a connection itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Bye {
-    /// Why the node closes it.
+    /// Why the node closes the connection.
     pub reason: Goodbye,
 }
 
 /// A frame from a node to a monitor, after the handshake.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ServerFrame {
-    /// The cell. Sent once.
+    /// The names and bounds of the cell. Sent once.
     Table(Table),
     /// The whole state of the node.
     Snapshot(Snapshot),
-    /// Events.
+    /// The events since the previous frame of this kind.
     Events(Events),
     /// The node closes the connection.
     Bye(Bye),
-    /// What changed since the previous snapshot or delta (1.1).
+    /// The changes since the previous snapshot or delta (1.1).
     Delta(Delta),
     /// The queues of the watched ports (1.1).
     Detail(Detail),
@@ -165,7 +165,7 @@ pub enum ServerFrame {
     Denied(Denied),
     /// The scripts of a restarted node that have not begun yet (1.2).
     HeldBack(HeldBack),
-    /// The node requires a token, and the monitor shall prove that it has it (1.3).
+    /// The node requires a token, and the monitor must prove that it has the token (1.3).
     Challenge(Challenge),
 }
 
@@ -227,16 +227,17 @@ pub struct Subscribe {
 /// A frame from a monitor to a node, after the handshake. No frame can change the node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ClientFrame {
-    /// Starts the snapshots, or changes the subscription. Its credit replaces the remaining credit.
+    /// Starts the snapshots, or changes the subscription. The subscription's credit replaces the remaining credit.
     Subscribe(Subscribe),
     /// The node may send this many more frames. The sum saturates.
     Credit(u16),
-    /// Starts or changes a subscription (1.1). Its credit replaces the remaining credit. The deltas do not restart: the
-    /// next one continues from the last snapshot sent, if that one listed as many messages per port.
+    /// Starts or changes a subscription (1.1). The subscription's credit replaces the remaining credit. The deltas do not
+    /// restart: the next delta continues from the last snapshot sent, if that snapshot listed as many messages per port.
     Want(Want),
     /// Asks for the node's clock (1.1).
     Ping(Ping),
-    /// The token itself (1.1). Since 1.3 no node takes it, and no monitor sends it: others could read it on the network.
+    /// The token itself (1.1). Since 1.3 no node accepts this frame, and no monitor sends it, because others could read
+    /// the token on the network.
     Token(Token),
     /// Asks for a whole snapshot instead of the next delta (1.1).
     Whole,

@@ -24,7 +24,7 @@ pub enum FrameError {
     Truncated {
         /// How many of the frame's bytes arrived, its length field included.
         got: usize,
-        /// How many bytes the frame has; for an incomplete length field, four.
+        /// How many bytes the whole frame has, its length field included; for an incomplete length field, four.
         of: usize,
     },
     /// The length field exceeds the limit. The stream cannot be read any further.
@@ -32,7 +32,7 @@ pub enum FrameError {
     TooLong {
         /// The announced length.
         length: usize,
-        /// The greatest length of a frame here, in bytes.
+        /// The greatest allowed length of a frame on this stream, in bytes.
         limit: usize,
     },
     /// The stream would block. Call again later: the bytes read or written so far are kept.
@@ -62,7 +62,7 @@ impl<R: Read> FrameReader<R> {
         Self { source, limit, bytes: Vec::new(), have: 0 }
     }
 
-    /// The stream.
+    /// The byte stream.
     pub const fn get_ref(&self) -> &R {
         &self.source
     }
@@ -102,7 +102,7 @@ impl<R: Read> FrameReader<R> {
             self.bytes.resize(end, 0);
         }
         let read = match self.source.read(&mut self.bytes[self.have..end]) {
-            // A peer that died with unread data resets the connection, which counts as closed.
+            // If a peer dies without reading all data, the kernel resets the connection. This counts as closed.
             Err(e) if e.kind() == ErrorKind::ConnectionReset => Ok(0),
             read => read,
         };
@@ -123,7 +123,7 @@ impl<R: Read> FrameReader<R> {
 }
 
 /// Writes frames. It keeps the bytes that a slow reader has not taken yet. Push the next frame only when
-/// [`is_drained`](Self::is_drained) returns true, so that never more than one is pending.
+/// [`is_drained`](Self::is_drained) returns true, so that never more than one frame is pending.
 #[derive(Debug)]
 pub struct FrameWriter<W> {
     sink: W,
@@ -134,12 +134,12 @@ pub struct FrameWriter<W> {
 }
 
 impl<W: Write> FrameWriter<W> {
-    /// A writer with nothing pending.
+    /// A writer without pending bytes.
     pub const fn new(sink: W) -> Self {
         Self { sink, pending: Vec::new(), gone: 0, scratch: Vec::new() }
     }
 
-    /// The stream.
+    /// The byte stream.
     pub const fn get_ref(&self) -> &W {
         &self.sink
     }

@@ -11,7 +11,7 @@ pub struct Gathering {
 }
 
 impl Gathering {
-    /// Starts with the messages that the node itself dropped, by [`Reason::ALL`] position.
+    /// Starts with the counts of the messages that the node itself dropped, by position in [`Reason::ALL`].
     #[must_use]
     pub const fn new(discards: [u64; Reason::ALL.len()]) -> Self {
         Self { tasks: Vec::new(), discards }

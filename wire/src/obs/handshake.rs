@@ -1,4 +1,4 @@
-//! The first frame in each direction.
+//! The first frame that each side sends.
 
 use super::decode::{DecodeError, whole};
 use super::version::{VERSION, Version};
@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// The CRC-32 of the golden frames of [`VERSION`] and of the minor versions before it. Two builds of one version with
-/// different values have different frame types, and would misread each other.
+/// different values have different frame types, and would misread each other's frames.
 pub const SCHEMA: u32 = 0x792d_984e;
 
 const MAGIC: [u8; 4] = *b"IMOB";
-/// Length of the magic, the major and the minor version: the bytes whose meaning no version changes.
+/// The length of the magic bytes and the two version numbers, which have the same meaning in every version.
 const HEADER: usize = 8;
 
 /// A node's introduction of itself.
@@ -19,7 +19,7 @@ const HEADER: usize = 8;
 pub struct NodeIdentity {
     /// The name of the node's cell.
     pub cell: String,
-    /// The digest of its cell's table. Nodes with different digests do not talk to each other.
+    /// The digest of its cell's table. Nodes with different digests do not communicate.
     pub digest: u32,
     /// The name of the node.
     pub node: String,
@@ -45,7 +45,7 @@ pub enum Role {
 pub struct Hello {
     /// Identifies the frame types of this build: [`SCHEMA`].
     pub schema: u32,
-    /// The process id.
+    /// The id of the process that sends the introduction.
     pub pid: u32,
     /// Name and version of the program, for people.
     pub build: String,
@@ -58,7 +58,7 @@ pub struct Hello {
 /// Why a node does not serve a monitor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Error)]
 pub enum Refusal {
-    /// The major versions differ. Both are named, so that a person can update one program.
+    /// The major versions differ. The refusal names both versions, so that a person can update one program.
     #[error("the node speaks imrs-obs {node}, this program {monitor}: use programs of one release")]
     OtherMajor {
         /// The node's version.
@@ -82,7 +82,7 @@ pub enum Refusal {
         /// The maximum number of monitors.
         limit: u16,
     },
-    /// The first frame was a node's, not a monitor's.
+    /// The first frame was the introduction of a node, not of a monitor.
     #[error("the node expected a monitor's hello")]
     NotAMonitor,
 }
@@ -97,7 +97,7 @@ pub enum Handshake {
 }
 
 impl Handshake {
-    /// The frame's contents in `version` ([`VERSION`], except in tests).
+    /// Encodes the frame for `version` ([`VERSION`], except in tests).
     ///
     /// # Panics
     /// Never: the encoding can only run out of memory.
@@ -109,10 +109,11 @@ impl Handshake {
         postcard::to_extend(self, bytes).expect("a Vec takes any length")
     }
 
-    /// Decodes a handshake, and returns the sender's version with it.
+    /// Decodes a handshake. Returns it with the sender's version.
     ///
     /// # Errors
-    /// [`DecodeError::NotObs`] and [`DecodeError::OtherMajor`] are decided by the first eight bytes, in every version.
+    /// [`DecodeError`]. In every version, the first eight bytes alone decide about [`DecodeError::NotObs`] and
+    /// [`DecodeError::OtherMajor`].
     pub fn decode(bytes: &[u8]) -> Result<(Version, Self), DecodeError> {
         let (Some(header), true) = (bytes.get(..HEADER), bytes.starts_with(&MAGIC)) else {
             return Err(DecodeError::NotObs);
@@ -131,7 +132,7 @@ impl Handshake {
 /// Chooses the version that a node and a monitor use with each other. Each argument is a version and its schema.
 ///
 /// # Errors
-/// The refusal that the node sends if the two have no version in common.
+/// The refusal that the node sends if node and monitor have no version in common.
 pub fn agree(node: (Version, u32), monitor: (Version, u32)) -> Result<Version, Refusal> {
     if node.0.major != monitor.0.major {
         return Err(Refusal::OtherMajor { node: node.0, monitor: monitor.0 });

@@ -2,16 +2,16 @@
 //!
 //! # A connection
 //!
-//! 1. The monitor sends a [`Handshake::Hello`]. The node answers with its own, or with a [`Handshake::Refused`]. Both
-//!    begin with the magic and the version at fixed offsets. So programs of different major versions can still name
-//!    both versions to their users ([`DecodeError::OtherMajor`]). The smaller of the two minor versions is used
-//!    ([`agree`]).
+//! 1. The monitor sends a [`Handshake::Hello`]. The node answers with a hello of its own, or with a
+//!    [`Handshake::Refused`]. Each of these frames begins with the magic bytes and the version at fixed offsets. So
+//!    programs of different major versions can still name both versions to their users ([`DecodeError::OtherMajor`]).
+//!    Both sides use the smaller of the two minor versions ([`agree`]).
 //! 2. The node sends one [`ServerFrame::Table`]: the names that all later frames refer to by index.
 //! 3. The monitor sends [`ClientFrame::Subscribe`] and, from time to time, [`ClientFrame::Credit`].
-//! 4. The node sends a [`ServerFrame::Snapshot`] once per period, and [`ServerFrame::Events`] as they occur. Each frame
-//!    costs one credit. Without credit the node sends nothing: it skips snapshots, and counts the events that it cannot
-//!    keep in [`Events::lost`]. So a slow monitor costs a node a bounded amount of memory and no time.
-//! 5. Either side closes. A node that stops in order sends a [`ServerFrame::Bye`] first.
+//! 4. The node sends a [`ServerFrame::Snapshot`] once per period, and [`ServerFrame::Events`] as they occur. Each of
+//!    these frames costs one credit. Without credit the node sends nothing: it skips snapshots, and counts the events
+//!    that it cannot keep in [`Events::lost`]. So a slow monitor costs a node a bounded amount of memory and no time.
+//! 5. Either side closes the connection. A node that stops in order sends a [`ServerFrame::Bye`] first.
 //!
 //! # What version 1.1 adds
 //!
@@ -28,18 +28,18 @@
 //!
 //! # What version 1.3 adds
 //!
-//! A node with a [`Token`] sends nothing but its hello and a [`ServerFrame::Challenge`] until the monitor has answered that with a
-//! [`ClientFrame::Proof`]; otherwise the node sends [`Denied`]. Until 1.2 the monitor sent the token itself. A node with a token refuses such a
-//! monitor, and a monitor sends no token to such a node.
+//! A node with a [`Token`] sends nothing but its hello and a [`ServerFrame::Challenge`] until the monitor has answered
+//! the challenge with a [`ClientFrame::Proof`]; otherwise the node sends [`Denied`]. Until version 1.2 the monitor sent
+//! the token itself. A node with a token refuses such a monitor, and a monitor sends no token to such a node.
 //!
-//! No message can change a node: a monitor can only say how much it wants to see, and how often.
+//! No frame can change a node: a monitor can only say how much it wants to see, and how often.
 //!
 //! # Encoding
 //!
 //! A frame is a length (u32, little endian, at most [`MAX_FRAME`]) and that many bytes of postcard. postcard is not
 //! self-describing, so the types of one version never change. An addition is a new variant of [`ServerFrame`] or
-//! [`ClientFrame`] under a higher minor version. It is sent only to a peer that speaks that version, and decodes as
-//! [`DecodeError::UnknownKind`] elsewhere. `tests/obs_golden` keeps the golden bytes of each version.
+//! [`ClientFrame`] under a higher minor version. The new variant is sent only to a peer that speaks that version; other
+//! peers decode it as [`DecodeError::UnknownKind`]. `tests/obs_golden` keeps the golden bytes of each version.
 
 mod decode;
 mod delta;

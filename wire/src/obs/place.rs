@@ -13,7 +13,7 @@ use thiserror::Error;
 
 /// The longest path of a Unix socket, in bytes.
 pub const MAX_PATH: usize = 107;
-/// The longest encoded name of a cell or node in a file name.
+/// The longest encoded name of a cell or node in a file name, in bytes.
 const MAX_NAME: usize = 32;
 
 /// Why a socket path cannot be used.
@@ -56,7 +56,7 @@ pub fn prepare_socket(cell: &str, node: &str, pid: u32) -> Result<PathBuf, Place
     prepare_in(&base_dir(), cell, node, pid)
 }
 
-/// [`prepare_socket`] under another base.
+/// As [`prepare_socket`], under another base folder.
 ///
 /// # Errors
 /// [`PlaceError`].
@@ -74,7 +74,7 @@ pub fn prepare_in(base: &Path, cell: &str, node: &str, pid: u32) -> Result<PathB
     if path.as_os_str().len() > MAX_PATH { Err(PlaceError::TooLong(path)) } else { Ok(path) }
 }
 
-/// The sockets of all cells under `base`, sorted. If `base` is missing, there are none. A folder of another user is skipped.
+/// The sockets of all cells under `base`, sorted. A missing `base` has no sockets. A folder of another user is skipped.
 ///
 /// # Errors
 /// [`PlaceError::Io`] if `base` exists and cannot be read.
@@ -142,8 +142,8 @@ fn own_uid() -> Option<u32> {
     of(Path::new("/proc/self")).or_else(|| of(Path::new(&std::env::var_os("HOME")?)))
 }
 
-/// A file name for `name`. Letters, digits, `_` and inner `.` and `-` stay, and any other byte becomes `%XX`. A long
-/// name is cut and ends with a hash of the whole. The encoding is lossy: ask the node for its name.
+/// A file name for `name`. Letters, digits, `_` and inner `.` and `-` stay, and any other byte becomes `%XX`. A long name is
+/// cut and ends with a hash of the whole name. The encoding is lossy, so only the node itself can tell its name.
 #[must_use]
 pub fn file_name(name: &str) -> String {
     let mut out = String::new();
@@ -156,7 +156,7 @@ pub fn file_name(name: &str) -> String {
         }
     }
     if out.len() > MAX_NAME {
-        // FNV-1a, to tell apart names with the same beginning.
+        // The FNV-1a hash distinguishes long names with the same beginning.
         let fnv = |hash: u32, byte: u8| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193);
         let hash = name.bytes().fold(0x811c_9dc5, fnv);
         out.truncate(MAX_NAME - 9);

@@ -14,13 +14,13 @@ pub enum Liveness {
     Crashed,
 }
 
-/// One task of the node and its communication task.
+/// One task of the node, with its communication task.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TaskSnapshot {
     /// Whether the task still runs.
     pub liveness: Liveness,
     /// How long before [`Snapshot::mono_us`] the communication task last advanced, in microseconds. The remaining times
-    /// in `view` are as of that moment; at the snapshot each is shorter by this.
+    /// in `view` are of that moment; at the time of the snapshot each is shorter by `age_us`.
     pub age_us: u64,
     /// The task's state, with at most the subscribed number of messages per port.
     pub view: TaskView,
@@ -31,7 +31,7 @@ pub struct TaskSnapshot {
 pub struct TimerEntry {
     /// The task that set the timer.
     pub owner: TaskId,
-    /// The entry's identifier, unique within that task.
+    /// The entry's identifier, unique within the task.
     pub id: TimeId,
     /// The remaining time at the snapshot.
     pub remaining: Ticks,
@@ -40,9 +40,9 @@ pub struct TimerEntry {
 /// A named counter. It only grows during one incarnation of the node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Count {
-    /// The name of what is counted, in snake_case, as [`Reason::name`](imrs_protocol::Reason::name).
+    /// The name of the counted thing, in snake_case, as [`Reason::name`](imrs_protocol::Reason::name) returns it.
     pub name: String,
-    /// How many of them the node has counted.
+    /// How often the node has counted this thing.
     pub count: u64,
 }
 

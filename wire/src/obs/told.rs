@@ -20,9 +20,9 @@ pub struct Detail {
 /// One watched queue.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PortDetail {
-    /// The task that receives.
+    /// The task that receives through the port.
     pub task: TaskId,
-    /// The port that the detail belongs to.
+    /// The watched port.
     pub port: PortId,
     /// How long before [`Detail::mono_us`] the remaining times in `queue` were measured, in microseconds.
     pub age_us: u64,
@@ -55,13 +55,13 @@ pub struct Vitals {
 pub struct Lateness {
     /// How many expiries the Timer handled since the start.
     pub count: u64,
-    /// How many of those were later than the declared tick of the cell.
+    /// How many of the handled expiries were later than the declared tick of the cell.
     pub late: u64,
     /// Median lateness of the expiries since the previous frame of this kind, in microseconds.
     pub p50_us: u64,
-    /// The 99th percentile of their lateness, in microseconds.
+    /// The 99th percentile of the same lateness, in microseconds.
     pub p99_us: u64,
-    /// The greatest lateness of these expiries, in microseconds.
+    /// The greatest lateness of an expiry since the previous frame of this kind, in microseconds.
     pub max_us: u64,
 }
 
@@ -70,9 +70,9 @@ pub struct Lateness {
 pub struct RecordingFacts {
     /// The recording's file.
     pub path: String,
-    /// How many inputs were lost to the recording.
+    /// How many inputs the recording has lost.
     pub lost: u64,
-    /// Why writing stopped, if it did.
+    /// Why the node stopped writing the recording, if it did.
     pub failure: Option<String>,
 }
 
@@ -94,16 +94,16 @@ pub struct NodePlace {
     pub address: String,
 }
 
-/// The addresses at which the other nodes of the cell serve monitors, as far as this node knows. So one address leads
-/// to the whole cell. Sent again when it changes.
+/// The addresses at which the other nodes of the cell serve monitors, as far as this node knows. So a monitor with one
+/// address finds the whole cell. The frame is sent again when the addresses change.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Places {
     /// The address of each node.
     pub nodes: Vec<NodePlace>,
 }
 
-/// The scripts of a restarted node that have not begun yet. Sent before the first snapshot if there are any, then once
-/// a second. The last such frame has no tasks.
+/// The scripts of a restarted node that have not begun yet. The frame is sent before the first snapshot if there are
+/// such scripts, then once a second. The last such frame has no tasks.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HeldBack {
     /// The node's monotonic clock, in microseconds.
@@ -115,7 +115,7 @@ pub struct HeldBack {
 /// A task whose script has not begun yet, because commands of its previous incarnation may still arrive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HeldTask {
-    /// The task that is held.
+    /// The task whose script is held back.
     pub task: TaskId,
     /// How long the script is still held back, counted from [`HeldBack::mono_us`].
     pub remaining: Ticks,
@@ -124,10 +124,10 @@ pub struct HeldTask {
 /// Why a node denies access to a monitor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 pub enum Denied {
-    /// The node requires a token, and the monitor sent none.
+    /// The node requires a token, and the monitor has shown none.
     #[error("it asks for a token: give the one it was started with (--token FILE)")]
     NoToken,
-    /// The node requires another token than the one that the monitor sent.
+    /// The monitor's token is not the token that the node requires.
     #[error("it was started with another token: give the same one on both sides (--token FILE)")]
     WrongToken,
 }

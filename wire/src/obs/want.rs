@@ -1,4 +1,4 @@
-//! The subscription of version 1.1: what a monitor wants to see, and the token that allows it.
+//! The subscription of version 1.1: what a monitor wants to see, and the token that allows it to look.
 
 use blake2::digest::consts::U32;
 use blake2::digest::{Digest, KeyInit, Mac};
@@ -21,7 +21,7 @@ pub struct Want {
     pub events: Option<EventFilter>,
     /// Microseconds between [`Vitals`](super::Vitals) frames; zero for none.
     pub vitals_us: u32,
-    /// Microseconds between whole snapshots. Zero: only the first one and those asked for are whole.
+    /// Microseconds between whole snapshots. If zero, only the first snapshot is whole, and those for which the monitor asks.
     pub whole_us: u32,
     /// How many frames the node may send before it needs a [`ClientFrame::Credit`](super::ClientFrame::Credit).
     pub credit: u16,
@@ -59,7 +59,7 @@ impl EventFilter {
 pub struct Kinds(u64);
 
 impl Kinds {
-    /// Every kind, including those of later versions.
+    /// Every kind of observation, including the kinds of later versions.
     pub const ALL: Self = Self(u64::MAX);
     /// No kind of event.
     pub const NONE: Self = Self(0);
@@ -119,8 +119,8 @@ pub struct Ping {
 /// The longest token, in bytes.
 pub const MAX_TOKEN: usize = 256;
 
-/// The shared secret that lets a monitor watch a node. It does not cross the network: the monitor [proves](Self::proof) that it has
-/// it. But everything that the node sends crosses it in clear: use a tunnel on a network that others can read.
+/// The shared secret that lets a monitor watch a node. The token itself is not sent: the monitor [proves](Self::proof)
+/// that it has the token. But the node's frames are not encrypted: use a tunnel on a network that others can read.
 ///
 /// ```
 /// use imrs_wire::obs::{Challenge, Token};
@@ -150,13 +150,13 @@ impl Token {
         if fits { Ok(Self(text.into())) } else { Err(TokenError) }
     }
 
-    /// Proves to the node that has drawn the challenge that this program has the token.
+    /// Makes the proof that this program has the token, for the node that has drawn the challenge.
     #[must_use]
     pub fn proof(&self, challenge: &Challenge) -> Proof {
         Proof(self.hash(challenge).finalize().into_bytes().into())
     }
 
-    /// Whether a proof is that of this token. Takes as long for a wrong one.
+    /// Whether a proof was made with this token. The check takes as long for a wrong proof.
     #[must_use]
     pub fn is_proven(&self, challenge: &Challenge, proof: &Proof) -> bool {
         self.hash(challenge).verify((&proof.0).into()).is_ok()
@@ -172,7 +172,7 @@ impl Token {
     }
 }
 
-/// What a node has drawn for one connection, to see whether the monitor has its token.
+/// Random bytes that a node has drawn for one connection, to check whether the monitor has the node's token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Challenge(pub [u8; 32]);
 
@@ -180,7 +180,7 @@ pub struct Challenge(pub [u8; 32]);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Proof(pub [u8; 32]);
 
-/// Hides the secret.
+/// Hides the token, because it is a secret.
 impl std::fmt::Debug for Token {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str("Token(..)")

@@ -1,7 +1,7 @@
 //! Writes a recording from its own thread, so that a slow disk never blocks a node.
 //!
 //! Records reach that thread in two ways. Streams of few, long records use a queue. Streams of many, short records use
-//! [`Source`]s, which the thread drains itself. No producer ever waits for either.
+//! [`Source`]s, which the thread drains itself. No producer ever waits for a queue or a source.
 
 use super::{Header, MAX_RECORD_BYTES, Record, RecordingWriter, Stream, WriteError};
 use std::io::{BufWriter, Write};
@@ -14,27 +14,26 @@ use std::time::{Duration, Instant};
 /// How long the thread pauses after a pass that found records, unless [`Alert::hurry`] ends the pause. During the pause
 /// no producer needs to wake the thread.
 const GATHER: Duration = Duration::from_millis(5);
-/// How long the thread parks after a pass that found nothing, unless a producer wakes it. A producer reads the
-/// thread's state without a fence, so it may not see that the thread is about to park, and not wake it; its record is
-/// then written later, by this time at most. After this time every producer sees [`ASLEEP`], so the next park has no
-/// timeout.
+/// How long the thread parks after a pass that found nothing, unless a producer wakes it. A producer reads the thread's
+/// state without a fence, so it may miss that the thread is about to park, and not wake it. Then its record is written
+/// later, by this time at most. After this time every producer sees [`ASLEEP`], so the next park has no timeout.
 const SLEEP: Duration = Duration::from_millis(50);
 const BUFFER_BYTES: usize = 64 * 1024;
-/// The longest state or frame in bytes; the other fields of its record fit the remaining 64.
+/// The longest state or frame that can be recorded, in bytes; the other fields of its record fit into the remaining 64.
 pub const LONGEST: usize = MAX_RECORD_BYTES - 64;
 
-/// State: the writing thread makes its next pass by itself, soon.
+/// The writing thread makes its next pass by itself, soon.
 const AWAKE: u8 = 0;
-/// State: the writing thread found nothing, and is parked or about to park.
+/// The writing thread found nothing, and is parked or about to park.
 const ASLEEP: u8 = 1;
-/// State: the writing thread has ended, and nothing is written any more.
+/// The writing thread has ended, and writes nothing any more.
 const OVER: u8 = 2;
 
 #[derive(Default)]
 struct Shared {
     /// How many records the queue can hold.
     capacity: usize,
-    /// The thread that writes, to unpark it.
+    /// The writing thread, which [`Thread::unpark`] wakes.
     writer: OnceLock<Thread>,
     /// [`AWAKE`], [`ASLEEP`] or [`OVER`].
     state: AtomicU8,
@@ -51,7 +50,7 @@ pub type Append<'a> = dyn FnMut(&Record) -> Result<(), WriteError> + 'a;
 
 /// A buffer that the writing thread drains repeatedly.
 pub trait Source: Send {
-    /// Appends the records that are there at the time of the call, and no later ones. Returns whether there were any.
+    /// Appends the records that are in the buffer at the time of the call, and no later ones. Returns whether there were any.
     ///
     /// # Errors
     /// The errors of `append`.
@@ -64,7 +63,7 @@ pub trait Source: Send {
     fn finish(&mut self, append: &mut Append<'_>) -> Result<(), WriteError>;
 }
 
-/// The producer's handle on the writing thread: state and wake-up. For the producers that feed a [`Source`].
+/// The handle of a producer that feeds a [`Source`] on the writing thread: its state, and the wake-up.
 #[derive(Clone)]
 pub struct Alert(Arc<Shared>);
 
@@ -75,7 +74,7 @@ impl Alert {
         self.0.state.load(Ordering::Relaxed) != AWAKE
     }
 
-    /// Wakes the writing thread if it is parked. Returns false if nothing is written any more.
+    /// Wakes the writing thread if it is parked. Returns false if that thread writes nothing any more.
     pub fn call(&self) -> bool {
         self.0.call()
     }
@@ -85,7 +84,7 @@ impl Alert {
         self.0.unpark();
     }
 
-    /// Whether nothing is written any more.
+    /// Whether the writing thread has ended, so that nothing is written any more.
     #[must_use]
     pub fn is_over(&self) -> bool {
         self.0.state.load(Ordering::Relaxed) == OVER
@@ -95,7 +94,7 @@ impl Alert {
 /// The loss counters of a stream.
 struct Losses {
     stream: Stream,
-    /// Lost records since the stream's last gap record.
+    /// How many records were lost since the stream's last gap record.
     unannounced: AtomicU64,
     total: AtomicU64,
 }
@@ -116,22 +115,22 @@ impl Losses {
 /// The state of a recording.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Status {
-    /// Records written, the header included.
+    /// How many records were written, the header included.
     pub records: u64,
-    /// Bytes written.
+    /// How many bytes were written.
     pub bytes: u64,
-    /// Records that were lost: the queue was full, the record was too long, or the medium had failed.
+    /// How many records were lost: the queue was full, the record was too long, or the medium had failed.
     pub lost: u64,
     /// Why writing stopped, if it failed.
     pub failure: Option<String>,
-    /// Whether the recording was ended and completely written.
+    /// Whether the recording has an end record and was completely written.
     pub ended: bool,
 }
 
-/// A recording that its own thread writes.
+/// A recording that a thread of its own writes.
 ///
-/// Frames come through one handle for each of their sources ([`frames`](Self::frames)), all other records from
-/// [`Source`]s. [`stop`](Self::stop) ends the recording and waits. Dropping it ends it too, without waiting.
+/// Frames are recorded through one handle for each of their sources ([`frames`](Self::frames)), all other records through
+/// [`Source`]s. [`stop`](Self::stop) ends the recording and waits. Dropping this value ends the recording, too, without waiting.
 pub struct Recording {
     queue: SyncSender<Record>,
     shared: Arc<Shared>,
@@ -194,8 +193,8 @@ impl Recording {
         self.shared.status(false)
     }
 
-    /// Ends the recording: writes the queued records, the gaps and the end. Waits at most `patience`; if the disk is slower,
-    /// the thread goes on alone.
+    /// Ends the recording: writes the queued records, the gaps and the end record. Waits at most `patience`; if the
+    /// disk is slower, the writing thread finishes alone.
     #[must_use]
     pub fn stop(mut self, patience: Duration) -> Status {
         self.shared.stop();
@@ -277,7 +276,7 @@ fn write<W: Write>(
 ) -> Result<(), WriteError> {
     let mut sleeps_since = None;
     loop {
-        // This flag is read before the last pass, so that all records queued before the stop are written.
+        // The flag is read before the last pass, so that this pass writes all records that were queued before the stop.
         let stopping = shared.stopping.load(Ordering::Acquire);
         // `seen` is computed before the pass, too, because the pass may be the last one before a park without
         // timeout.
@@ -302,7 +301,7 @@ fn write<W: Write>(
     finish(writer, queue, shared)
 }
 
-/// Pauses until there may be records again. `seen` says that every producer had seen [`ASLEEP`] before the last pass.
+/// Pauses until there may be new records. `seen` says that every producer had seen [`ASLEEP`] before the last pass.
 fn pause(shared: &Shared, found: bool, seen: bool, sleeps_since: &mut Option<Instant>) {
     if found {
         shared.state.store(AWAKE, Ordering::Relaxed);
@@ -318,7 +317,7 @@ fn pause(shared: &Shared, found: bool, seen: bool, sleeps_since: &mut Option<Ins
     }
 }
 
-/// Writes the records that are there now and ends the recording. It ignores later records, because the streams may continue.
+/// Writes the records that are there now and ends the recording. Later records are ignored, because the streams may continue.
 fn finish<W: Write>(
     mut writer: RecordingWriter<W>,
     queue: &Receiver<Record>,
@@ -350,8 +349,8 @@ struct Outlet {
 }
 
 impl Outlet {
-    /// Queues a record, after a gap record if records were lost before it. Returns false if this record is lost, too, or if
-    /// it does not fit.
+    /// Queues a record, after a gap record if records were lost before it. Returns false if this record is lost, too.
+    /// `fits` is false for a record that is too long.
     fn hand_over_if(&self, fits: bool, record: Record) -> bool {
         let taken = fits && self.announce() && self.hand_over(record);
         if !taken {
@@ -360,7 +359,7 @@ impl Outlet {
         taken
     }
 
-    /// Queues a gap record for the losses. Returns false if there is no room for it.
+    /// Queues a gap record for the lost records. Returns false if there is no room for the gap record.
     fn announce(&self) -> bool {
         let Some(lost) = self.losses.take() else { return true };
         let taken = self.hand_over(Record::Gap { stream: self.losses.stream, lost });

@@ -1,4 +1,5 @@
-//! Events at the tasks of a recorded node. A replay derives them from a recording, and the checker follows a run with them.
+//! Events at the tasks of a recorded node. A replay derives the events from a recording, and the checker follows a run
+//! with them.
 
 use imrs_protocol::script::{Address, End, ScriptInput};
 use imrs_protocol::{NodeId, Packet, TaskId};
@@ -6,9 +7,9 @@ use imrs_protocol::{NodeId, Packet, TaskId};
 /// An event at a task.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Happening {
-    /// The node's monotonic clock, in microseconds. All nodes of one machine share this clock.
+    /// The time of the node's monotonic clock, in microseconds. All nodes of one machine share this clock.
     pub at: u64,
-    /// The task whose script did it.
+    /// The task at which the event happened.
     pub task: TaskId,
     /// The event in the script.
     pub what: Happened,
@@ -23,7 +24,7 @@ pub enum Happened {
     Begun,
     /// A packet arrived, with its remaining time in microseconds.
     Came(Packet),
-    /// The task observed that time has passed.
+    /// Time has passed for the task, without any other input.
     Time,
     /// Another node has a new incarnation.
     PeerRestarted(NodeId),
@@ -35,19 +36,19 @@ pub enum Happened {
     Sent(Packet),
     /// The task's script processed an input.
     Turn(Turn),
-    /// The node of the task stopped, or was cut off for good. Nothing that the task does after this is judged.
+    /// The node of the task stopped, or was cut off for good. Later events of the task are not judged.
     Stopped,
 }
 
 /// How a script processed one input.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Turn {
-    /// The operation in which the script waited.
+    /// The operation of the program in which the script waited for the input.
     pub at: Address,
     /// The input that the script took.
     pub input: ScriptInput,
     /// The statements that the script began.
     pub passed: Vec<Address>,
-    /// How the script ended, if it did.
+    /// How the script ended, if it ended.
     pub end: Option<End>,
 }

@@ -10,13 +10,13 @@
 //!  12..   contents: a Record in postcard
 //! ```
 //!
-//! A file that is cut off at any byte can be read up to its last whole record; [`Ending`] distinguishes it from a
-//! recording that was ended. The length has its own checksum, so that a damaged length is reported as damage and not as
-//! the end of a cut-off file. Each stream is complete in itself, or contains a [`Record::Gap`]. So readers need no
-//! order between streams.
+//! A file that is cut off at any byte can be read up to its last whole record. [`Ending`] distinguishes such a file
+//! from a recording that has an end record. The length has its own checksum, so that a damaged length is reported as
+//! damage and not as the end of a cut-off file. Each stream is complete in itself, or contains a [`Record::Gap`]. So
+//! readers need no order between streams.
 //!
 //! [`Recording`] writes from its own thread. Handing over a record never blocks and never fails for the node. A record
-//! that finds no room becomes a gap, and after a disk error every record does.
+//! that finds no room becomes a gap. After a disk error every record becomes a gap.
 
 mod background;
 mod happened;
@@ -37,21 +37,21 @@ use serde::{Deserialize, Serialize};
 pub const MAGIC: [u8; 8] = *b"\x9dimrsrec";
 /// The format version of this library.
 pub const VERSION: u16 = 11;
-/// The longest contents of a record, in bytes.
+/// The greatest length of a record's contents, in bytes.
 pub const MAX_RECORD_BYTES: usize = 2 << 20;
 
 const PROLOGUE_BYTES: usize = 12;
-/// The length and two checksums.
+/// How many bytes stand before a record's contents: their length, and two checksums.
 const RECORD_HEAD_BYTES: usize = 12;
 
-/// What a recording belongs to: cell, node and program.
+/// The cell, node and program to which a recording belongs.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Header {
     /// The name of the cell.
     pub cell: String,
     /// The digest of the cell's table. Inputs can be replayed only with the same table.
     pub digest: u32,
-    /// The digest of the statements that the node's scripts ran; zero if there were none or it is unknown.
+    /// The digest of the statements that the node's scripts ran; zero if there were no scripts, or if the digest is unknown.
     pub statements: u32,
     /// The node whose inputs the recording has; `None` in a recording of observations.
     pub node: Option<NodeId>,
@@ -59,9 +59,9 @@ pub struct Header {
     pub incarnation: Incarnation,
     /// Whether an earlier incarnation of the node may have taken requests.
     pub restarted: bool,
-    /// The program that ran.
+    /// The name and version of the program that ran.
     pub build: String,
-    /// Whether the links ran without authentication keys.
+    /// Whether the links of the node ran without authentication keys.
     pub insecure: bool,
     /// When the recording began, in microseconds since 1970. For people; nothing is computed from it.
     pub began: u64,
@@ -70,21 +70,21 @@ pub struct Header {
 /// One entry of a recording.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Record {
-    /// The header. The first record, and only the first.
+    /// The header. It is the first record, and no other record is a header.
     Header(Header),
-    /// An input of a communication task. Inputs before the task's first [`Record::Keyframe`] continue from the start of
-    /// its incarnation.
+    /// An input of a communication task. The inputs before the first [`Record::Keyframe`] of a task continue from the
+    /// start of the task's incarnation.
     Input {
         /// The task that took the input.
         task: TaskId,
-        /// How long after the task's previous input this one came, in microseconds.
+        /// How long after the task's previous input this input came, in microseconds.
         elapsed: Ticks,
         /// The input of the task.
         input: Input,
         /// A digest of all outputs of the task, including those for this input.
         outputs: u64,
     },
-    /// The state of a communication task between two inputs.
+    /// The state of a communication task between two of its inputs.
     Keyframe {
         /// The task whose state the keyframe holds.
         task: TaskId,
@@ -102,26 +102,27 @@ pub enum Record {
     },
     /// A frame that a monitor received, unchanged.
     Frame {
-        /// The node: a number that the recording program assigns.
+        /// The number that the recording program has given to the node.
         source: u16,
         /// The time of arrival, in microseconds since the recording began.
         at: u64,
         /// An encoded [`Shown`].
         bytes: Vec<u8>,
     },
-    /// The last record: the recording was ended, and is complete except for its gaps.
+    /// The last record of a recording that was ended. Such a recording is complete except for its gaps.
     End,
-    /// An input of a task's script, other than the signals of its communication task, which follow from the task's inputs.
-    /// The input has the time of the task's previous record.
+    /// An input of a task's script. Signals of the communication task are not recorded so, because they follow from its
+    /// inputs. The input has the time of the task's previous record.
     Script {
         /// The task whose script took the step.
         task: TaskId,
         /// The script's step.
         step: ScriptStep,
-        /// A digest of everything that the script did before.
+        /// A digest of everything that the script did before this step.
         done: u64,
     },
-    /// The node has stopped, and the task has no further inputs. Losses right before the stop are detected with it.
+    /// The node has stopped, and the task has no further inputs. This record shows whether records were lost right
+    /// before the stop.
     Close {
         /// The task whose records end here.
         task: TaskId,
@@ -132,7 +133,7 @@ pub enum Record {
     },
 }
 
-/// An input of a script that does not follow from other records.
+/// An input of a script that does not follow from other records of the recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ScriptStep {
     /// The script begins.

@@ -5,7 +5,7 @@ use super::{Header, MAGIC, MAX_RECORD_BYTES, PROLOGUE_BYTES, RECORD_HEAD_BYTES, 
 use std::io::{self, ErrorKind, Read};
 use thiserror::Error;
 
-/// How many bytes are read at once, and allocated before the bytes for them have arrived. So a damaged length costs a
+/// How many bytes are read at once, and how many are allocated before they have arrived. So a damaged length costs a
 /// reader little memory.
 const STEP: usize = 64 * 1024;
 
@@ -40,10 +40,10 @@ pub enum Cause {
     /// A record's contents cannot be decoded.
     #[error("the record cannot be understood ({0})")]
     Malformed(postcard::Error),
-    /// A record has more bytes than it needs.
+    /// A record has more bytes than its contents need.
     #[error("the record has {0} bytes too many")]
     Trailing(usize),
-    /// A second header, or bytes after the end record.
+    /// There is a second header, or there are bytes after the end record.
     #[error("a record that does not belong here")]
     OutOfPlace,
     /// The medium failed.
@@ -60,20 +60,20 @@ pub enum Ending {
     Open,
     /// The recording stops within a record: its writer still runs or was killed, or the medium was full.
     Torn {
-        /// Offset at which the last whole record ends.
+        /// The offset at which the last whole record ends.
         offset: u64,
     },
 }
 
 /// Reads a recording record by record.
 ///
-/// It reads ahead. If the records stop without an error, a later call continues with records that were appended since.
-/// So a reader can follow the recording of a running node.
+/// The reader reads ahead. If the records stop without an error, a later call continues with records that were appended
+/// since. So a reader can follow the recording of a running node.
 #[derive(Debug)]
 pub struct RecordingReader<R> {
     source: R,
     header: Header,
-    /// Offset at which the next record begins.
+    /// The offset at which the next record begins.
     offset: u64,
     /// Bytes read ahead; the next record begins at index `at`.
     bytes: Vec<u8>,
@@ -109,7 +109,7 @@ impl<R: Read> RecordingReader<R> {
         Ok(reader)
     }
 
-    /// The header.
+    /// The header of the recording.
     pub const fn header(&self) -> &Header {
         &self.header
     }
@@ -157,7 +157,7 @@ impl<R: Read> RecordingReader<R> {
             return Ok(None);
         }
         let word = |at: usize| [head[at], head[at + 1], head[at + 2], head[at + 3]];
-        // Check the length first: a damaged one would look like a file that was cut off.
+        // The length is checked first, because a damaged length would look like a file that was cut off.
         if checksum(&word(0)) != u32::from_le_bytes(word(4)) {
             return Err(self.error(Cause::Checksum));
         }
@@ -192,7 +192,8 @@ impl<R: Read> RecordingReader<R> {
         self.offset += bytes as u64;
     }
 
-    /// Reads until `want` bytes of the next record are there. Returns false if the source has no more for now.
+    /// Reads until at least `want` bytes of the next record have been read. Returns false if the source has no more
+    /// bytes for now.
     fn fill(&mut self, want: usize) -> Result<bool, ReadError> {
         while self.bytes.len() - self.at < want {
             if self.at > 0 {
@@ -231,7 +232,8 @@ impl<R: Read> RecordingReader<R> {
     }
 }
 
-/// Yields the records up to the first error. Stops when no further whole record has arrived, and may continue later.
+/// Yields the records up to the first error. The iterator stops when no further whole record has arrived, and may
+/// continue later.
 impl<R: Read> Iterator for RecordingReader<R> {
     type Item = Result<Record, ReadError>;
 

@@ -1,15 +1,15 @@
 //! The contents of a [`Record::Frame`](super::Record::Frame) in a recording of observations.
 //!
-//! The frames of one source are those of a connection (`imrs-obs`), from its hello to its end. A recording of a
-//! counterexample has in addition a [`Story`] before everything else, and [`Step`]s. The frames between one step and
-//! the next show the state after it.
+//! The frames of one source are the frames of one connection (`imrs-obs`), from its hello to its end. A recording of a
+//! counterexample also has a [`Story`] before everything else, and [`Step`]s. The frames between one step and the next
+//! show the state after it.
 
 use crate::obs::{DecodeError, Hello, Refusal, SCHEMA, ServerFrame, VERSION, Version, agree, whole};
 use imrs_protocol::TaskId;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// An event at a monitor: frames of a node, and the steps of a counterexample.
+/// An event at a monitor: a node's frame, or a part of a counterexample.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Shown {
     /// A node introduced itself.
@@ -35,13 +35,13 @@ pub enum Shown {
 /// The description of a counterexample, with its place in the cell's file.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Story {
-    /// The cell's file.
+    /// The name of the cell's file.
     pub file: String,
-    /// The kind of finding, in one or two words.
+    /// The kind of the finding, in one or two words.
     pub kind: String,
-    /// The fault, in one line.
+    /// The fault that the counterexample shows, in one line.
     pub cause: String,
-    /// The place in the file.
+    /// The place of the fault in the cell's file.
     pub place: Option<Place>,
     /// The bounds of the search, in one line.
     pub bounds: String,
@@ -71,7 +71,7 @@ pub struct Step {
     pub tick: u64,
     /// Whether a fault occurs in the step, or the finding itself.
     pub odd: bool,
-    /// What happened in the step, in words, in order.
+    /// Descriptions of the events of the step, in their order.
     pub happened: Vec<String>,
     /// The activity of each task after the step.
     pub tasks: Vec<Doing>,
@@ -80,9 +80,9 @@ pub struct Step {
 /// The activity of a task.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Doing {
-    /// The task that has this activity.
+    /// The task whose activity this is.
     pub task: TaskId,
-    /// A description in words.
+    /// A description of the activity in words.
     pub text: String,
     /// The line of the task's statement, from 1.
     pub line: Option<u32>,

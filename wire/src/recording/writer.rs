@@ -22,7 +22,7 @@ pub enum WriteError {
     Io(#[from] io::Error),
 }
 
-/// Writes a recording. It passes only whole records to `W`, so a recording without an end is still readable.
+/// Writes a recording. Only whole records are passed to `W`, so a recording without an end record is still readable.
 #[derive(Debug)]
 pub struct RecordingWriter<W> {
     sink: W,
@@ -51,8 +51,8 @@ impl<W: Write> RecordingWriter<W> {
     /// Appends a record.
     ///
     /// # Errors
-    /// After [`WriteError::Io`] a part of the record may have been written. The recording is readable up to that
-    /// record, but nothing can be appended.
+    /// If the medium fails ([`WriteError::Io`]), a part of the record may have been written. The recording is readable
+    /// up to that record, but nothing can be appended.
     pub fn append(&mut self, record: &Record) -> Result<(), WriteError> {
         let length = self.encode(record)?;
         if length > MAX_RECORD_BYTES {
@@ -70,11 +70,11 @@ impl<W: Write> RecordingWriter<W> {
         Ok(())
     }
 
-    /// Encodes the contents behind the space for their head. Returns their length.
+    /// Encodes the contents of a record behind the space for its head. Returns their length.
     fn encode(&mut self, record: &Record) -> Result<usize, WriteError> {
         match postcard::to_slice(record, &mut self.bytes[RECORD_HEAD_BYTES..]) {
             Ok(contents) => Ok(contents.len()),
-            // The longest record so far enlarges the buffer.
+            // The record is longer than the buffer, so the buffer is enlarged.
             Err(postcard::Error::SerializeBufferFull) => {
                 self.bytes =
                     postcard::to_extend(record, vec![0; RECORD_HEAD_BYTES]).map_err(WriteError::Encode)?;

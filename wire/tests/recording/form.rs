@@ -1,4 +1,4 @@
-//! Tests of the file format: golden bytes, files cut off anywhere, and damage.
+//! Tests of the file format of recordings: golden bytes, files cut off anywhere, and damage.
 
 use super::rig::{header, read};
 use imrs_protocol::{
@@ -70,7 +70,7 @@ fn hex(bytes: &[u8]) -> String {
     lines.collect()
 }
 
-/// The bytes of a version never change. `IMRS_WRITE_GOLDEN=1` writes those of a new version.
+/// The bytes of a version never change. `IMRS_WRITE_GOLDEN=1` writes the bytes of a new version.
 #[test]
 fn version_11_is_these_bytes() {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/recording_golden/11.hex");
@@ -80,11 +80,11 @@ fn version_11_is_these_bytes() {
     assert_eq!(hex(&written(&records())), std::fs::read_to_string(path).unwrap());
 }
 
-/// Why each version cannot be replayed today. Versions 1 and 2: their machines had no handlers, and announced no epoch
-/// before they acted in it. Version 3: no checksum of the lengths, and no script inputs. Version 4: no digest of the
-/// statements, and no number of inputs. Version 5: other digests. Version 6: keyframes with equal space for every port.
-/// Version 7: no arrivals for a finished meeting. Version 8: one state machine per task (D167). Version 9: a time input
-/// carries its length (D168). Version 10: a packet has a mark that no program set.
+/// This list says why recordings of each older version cannot be replayed today. Versions 1 and 2: their machines had no
+/// handlers, and announced no epoch before they acted in it. Version 3: no checksum of the lengths, and no script inputs.
+/// Version 4: no digest of the statements, and no number of inputs. Version 5: other digests. Version 6: keyframes with equal
+/// space for every port. Version 7: no arrivals for a finished meeting. Version 8: one state machine per task (D167). Version
+/// 9: a time input carries its length (D168). Version 10: a packet has a mark that no program set.
 #[test]
 fn older_versions_are_refused_by_their_numbers() {
     let kept = [
@@ -244,7 +244,7 @@ proptest! {
     #[test]
     fn contents_behind_a_right_checksum_are_read_or_refused(contents in proptest::collection::vec(any::<u8>(), 0..100)) {
         let mut file = written(&[Record::Frame { source: 0, at: 0, bytes: contents.clone() }]);
-        // This file is the same except for one record of arbitrary contents.
+        // This file has the same header, and one record of arbitrary contents.
         file.truncate(usize::try_from(boundaries(&[])[1]).unwrap());
         let length = u32::try_from(contents.len()).unwrap().to_le_bytes();
         let crc = crc::Crc::<u32>::new(&crc::CRC_32_MEF);

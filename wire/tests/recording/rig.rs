@@ -1,4 +1,4 @@
-//! Helpers: a header, and a reader of all records.
+//! Helpers of the tests of recordings: a header, and a reader of all records.
 
 use imrs_protocol::{Incarnation, NodeId};
 use imrs_wire::recording::{Cause, Ending, Header, Record, RecordingReader};
@@ -17,7 +17,7 @@ pub fn header() -> Header {
     }
 }
 
-/// All readable records, and the ending or error after them.
+/// All readable records, and the ending or the error after them.
 pub fn read(bytes: &[u8]) -> (Vec<Record>, Result<Ending, (u64, Cause)>) {
     let mut reader = RecordingReader::new(bytes).unwrap();
     let mut records = Vec::new();

@@ -12,7 +12,7 @@ fn hello(schema: u32) -> Hello {
 /// The schema digest of the observation protocol in the programs that were released with its version 1.0.
 const SCHEMA_1_0: u32 = 0x3723_afbb;
 
-/// One value of each kind of [`Shown`].
+/// One value of each variant of [`Shown`].
 fn every() -> [Shown; 5] {
     let place = Some(Place { line: 3, column: 4, text: "send a;".into() });
     let story = Story {
@@ -39,7 +39,7 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Frames that were written once stay readable for ever.
+/// Frames that were written once must stay readable for ever.
 #[test]
 fn each_kind_is_these_bytes() {
     let golden = [

@@ -16,7 +16,7 @@ const PATIENCE: Duration = Duration::from_secs(120);
 struct Disk {
     bytes: Arc<Mutex<Vec<u8>>>,
     size: usize,
-    /// If given, each write takes a token.
+    /// If there is a receiver, each write takes one token from it.
     tokens: Option<Receiver<()>>,
     /// Whether a write waits, or has waited, for a token.
     stuck: Arc<AtomicBool>,
@@ -113,11 +113,11 @@ fn what_is_handed_over_is_on_disk_soon_without_a_stop() {
     }
 }
 
-/// A source of numbers that another thread leaves for the writing thread.
+/// A source of numbers. Another thread adds the numbers, and the writing thread takes them.
 struct Numbers {
     waiting: Arc<Mutex<Vec<u64>>>,
-    /// A number that is added right after the first pass that finds nothing, so that the writing thread parks without seeing
-    /// it.
+    /// A number that is added right after the first pass that finds nothing, so that the writing thread parks without
+    /// noticing it.
     missed: Option<u64>,
 }
 
@@ -148,10 +148,10 @@ fn a_source_is_emptied_soon_and_once_more_at_the_end() {
     let (waiting, alert) = (Arc::clone(&numbers.waiting), recording.alert());
     let on_disk = || read(&bytes.lock().unwrap()).0.len();
     recording.attach(Box::new(numbers));
-    // The writer may already be parked without a source. This call makes the writer find 0; its next pass then finds
-    // nothing.
+    // The writing thread may already be parked, from the time when it had no source. This call makes it find the number
+    // 0; its next pass then finds nothing.
     assert!(alert.call());
-    // The producer does not call the writer for the 1, and the writer finds it nevertheless.
+    // The producer does not call the writing thread for the number 1, and that thread finds it nevertheless.
     wait_for("a record on disk", || on_disk() == 2);
     wait_for("the writer to sleep", || alert.is_due());
     waiting.lock().unwrap().push(2);
@@ -174,7 +174,7 @@ fn a_slow_disk_makes_a_gap_and_never_a_wait() {
     let recording = Recording::start(disk, &header(), 8, no_failure).unwrap();
     let (mut stream, mut other) = (recording.frames(0), recording.frames(1));
     assert!(stream.frame(0, Vec::new()));
-    // The writer may drain the full queue once more before it is stuck.
+    // The writing thread may drain the full queue once more before it waits for the disk.
     wait_for("the writer to be stuck", || stuck.load(Ordering::Acquire));
     let mut number = 1;
     let start = Instant::now();

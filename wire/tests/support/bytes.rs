@@ -1,4 +1,4 @@
-//! Properties that hold for any bytes of the observation protocol. The fuzz target `obs` runs this too.
+//! Properties that hold for any bytes of the observation protocol. The fuzz target `obs` checks them, too.
 
 use imrs_protocol::Reason;
 use imrs_wire::obs::{
@@ -22,7 +22,7 @@ pub fn check(bytes: &[u8]) {
         match server(frame) {
             Some(ServerFrame::Delta(delta)) => states.iter_mut().for_each(|state| change(state, &delta)),
             Some(ServerFrame::Snapshot(snapshot)) => {
-                // A delta leads from any state to any other.
+                // There is a delta from any state to any other state.
                 let [first, second] = &mut states;
                 leads(first, &snapshot);
                 *second = std::mem::replace(first, snapshot);
@@ -45,12 +45,13 @@ fn again<T: Serialize + PartialEq + std::fmt::Debug>(value: &T, decode: impl FnO
     assert_eq!(decode(&bytes), *value);
 }
 
-/// Applies a delta. An error leaves the state unchanged. Otherwise a delta computed between both states leads to the same state.
+/// Applies a delta. An error leaves the state unchanged. Otherwise the delta that is computed between both states gives
+/// the same state.
 fn change(state: &mut Snapshot, delta: &Delta) {
     let before = state.clone();
     if state.apply(delta).is_err() {
         assert_eq!(*state, before);
-        // Apply the same delta again, with this state as its base.
+        // The same delta is applied again, with this state as its base.
         let delta = Delta { base_us: delta.base_us.map(|_| state.mono_us), ..delta.clone() };
         if state.apply(&delta).is_err() {
             assert_eq!(*state, before);

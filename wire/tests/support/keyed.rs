@@ -1,4 +1,4 @@
-//! Properties that hold for any bytes of mode 1 of the envelope. The fuzz target `keyed` runs this, too.
+//! Properties that hold for any bytes of mode 1 of the envelope. The fuzz target `keyed` checks them, too.
 
 use imrs_protocol::NodeId;
 use imrs_wire::envelope::keyed::{self, Bound, HandshakeBytes, Keyed, MAX_KEYED_BYTES, TAG_BYTES};
@@ -11,7 +11,8 @@ const BOUND: Bound = Bound {
 };
 const COUNTER: u64 = 7;
 
-/// Decodes the bytes as a datagram, and as what a session has decrypted. What is decoded gives the same bytes again.
+/// Decodes the bytes as a datagram, and as the decrypted bytes of a session. Encoding the decoded value gives the same
+/// bytes again.
 pub fn check(bytes: &[u8]) {
     match keyed::read(bytes) {
         Ok(Keyed::Transport { index, counter, closed }) => {
@@ -39,7 +40,7 @@ fn content(plain: &[u8]) {
     });
     let again = copied.expect("it is copied")[keyed::CLEAR_BYTES..].to_vec();
     let again = &again[..again.len() - TAG_BYTES];
-    // Some bytes say nothing in some datagrams; a second decoding gives the same values.
+    // Some bytes have no meaning in some datagrams, so this compares the values of a second decoding.
     let second = keyed::open(again, COUNTER, &BOUND).expect("what was encoded");
     assert_eq!((second.envelope, second.packets), (opened.envelope, opened.packets));
 }

@@ -1,4 +1,4 @@
-//! Evaluates the checks of a run at one instant, from the values that are known then.
+//! Evaluates the checks of a run at one instant, from the values that are known at that instant.
 
 use super::{Judge, READING};
 use crate::cells::Loaded;
@@ -8,12 +8,12 @@ use imrs_language::lower::CheckKind;
 use imrs_protocol::script::{Predicate, Term, Type, eval};
 use imrs_protocol::{PortId, Round, TaskId};
 
-/// A check with at most this many unknown truth values is evaluated all the same, once for each combination of true and
+/// A check with at most this many unknown truth values is evaluated nevertheless, once for each combination of true and
 /// false.
 const MOST_OPEN: usize = 6;
 
 impl Judge<'_> {
-    /// Evaluates all checks at this instant, and notes breaks.
+    /// Evaluates all checks at this instant, and notes those that are broken.
     pub(super) fn look(&mut self, now: u64) {
         let loaded = self.loaded;
         for (at, check) in loaded.checks.iter().enumerate() {
@@ -67,7 +67,8 @@ impl Judge<'_> {
 
     /// Whether an expression is true; `None` if that is not known.
     fn is(&self, terms: &[Term]) -> Option<bool> {
-        // Each truth value that is not known. Bit `i` of `case` is the value that the `i`-th of them is assumed to have.
+        // `open` has each truth value that is not known. Bit `i` of `case` is the value that is assumed for the `i`-th
+        // of them.
         let (mut open, mut case, mut found) = (Vec::new(), 0_u64, None);
         loop {
             let mut known = true;
@@ -92,7 +93,7 @@ impl Judge<'_> {
         }
     }
 
-    /// Whether a term is a truth value that is not known. The check may still have the same result with both values.
+    /// Whether a term is a truth value that is not known. The check may still have the same result for true and false.
     fn is_in_doubt(&self, term: Term) -> bool {
         if let Term::Of { task, variable } = term {
             let program = self.loaded.program(task);
@@ -104,14 +105,14 @@ impl Judge<'_> {
         of(&self.loaded.table, term).into_iter().any(|(task, _)| self.doubt_of(task).is_some())
     }
 
-    /// The reasons for which values in an expression are not known.
+    /// The reasons for which values that an expression reads are not known.
     fn doubts(&self, terms: &[Term]) -> impl Iterator<Item = Doubt> {
         let unknown = terms.iter().filter(|term| self.value(**term).is_none());
         let tasks = unknown.flat_map(|term| of(&self.loaded.table, *term)).map(|(task, _)| task);
         tasks.filter_map(|task| self.doubt_of(task))
     }
 
-    /// Why a value of a task may not be known.
+    /// Why the values of a task may be unknown.
     fn doubt_of(&self, task: TaskId) -> Option<Doubt> {
         if self.vouched.has_orphan(task) {
             return Some(Doubt::Command(task));
@@ -128,8 +129,7 @@ impl Judge<'_> {
     }
 
     fn seen(&self, task: TaskId, ask: Ask) -> Option<i64> {
-        // A command that no task controls may still move the robot, whatever the node reported last, and even if the node is
-        // dead.
+        // A command that no task controls may still move the robot, even if the node has reported an end or is dead.
         if self.vouched.has_orphan(task) {
             return None;
         }
@@ -137,7 +137,7 @@ impl Judge<'_> {
         *self.stand[task.index()].get(at)?
     }
 
-    /// Whether the task has reached the waitfor, and no party has begun a later round there since (D85).
+    /// Whether the task has arrived at the waitfor of this port, and no party has begun a later round there since (D85).
     fn has_arrived(&self, port: PortId, task: TaskId) -> Option<bool> {
         let (mut newest, mut own) = (None, None);
         for party in &self.loaded.table.port(port)?.parties {
@@ -152,7 +152,7 @@ impl Judge<'_> {
         Some(own.is_some_and(|round| round.is_none() || round == newest))
     }
 
-    /// The values that a check reads, as text.
+    /// The present values that a check reads, as text.
     pub(super) fn values(&self, check: usize) -> Vec<String> {
         let mut words = Vec::new();
         for term in terms(&self.loaded.checks[check]) {
@@ -168,8 +168,8 @@ impl Judge<'_> {
     }
 }
 
-/// The values of a task on a dead node, as in the checker: initial variables, no activity. Whether the task still counts as
-/// arrived is unknown, because the other members may have moved on.
+/// The values of a task on a dead node, as in the checker: initial variables, no activity. It is unknown whether the
+/// task still counts as arrived, because the other members may have gone on to a later round.
 pub(super) fn dead(loaded: &Loaded, (task, asks): (TaskId, &[Ask])) -> Vec<Option<i64>> {
     let program = loaded.program(task);
     let value = |ask: &Ask| match ask {

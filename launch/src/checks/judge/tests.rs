@@ -13,7 +13,7 @@ fn loaded() -> Loaded {
     load(&Source { name: "c.cell".into(), text: CELL.into(), paper: false }).expect("a sound cell")
 }
 
-/// Judges changes of `a.x` and `b.y` by their times; both are false at first.
+/// A judge that has got these changes of `a.x` and `b.y`, each with its time; both values are false at first.
 fn judge<'a>(loaded: &'a Loaded, changes: &[(u64, u16, i64)]) -> Judge<'a> {
     let mut judge = Judge::new(loaded, &[NodeId(0), NodeId(1)]);
     for &(at, task, value) in [(1, 0, 0), (1, 1, 0)].iter().chain(changes) {
@@ -69,8 +69,8 @@ fn what_should_come_may_be_a_tick_late_and_the_end_of_the_run_is_no_end_of_waiti
 #[test]
 fn after_its_last_words_nothing_is_known_of_a_killed_node_until_it_is_dead() {
     let loaded = loaded();
-    // The node of b had reported everything before 300. The change at 350 is dropped, because other changes since 300 may be
-    // missing.
+    // The node of `b` had reported everything before 300. The change at 350 is dropped, because other changes since 300
+    // may be missing.
     let mut judge = judge(&loaded, &[(100, 1, 1), (350, 1, 1), (310, 0, 1)]);
     judge.told(NodeId(0), 10_000);
     judge.told(NodeId(1), 300);
@@ -88,7 +88,8 @@ fn ended(task: &str, at: u64) -> Notice {
     Notice::Ended { key: task.to_owned(), at }
 }
 
-/// The verdict on `apart` if node `m`, with `b`, is killed at 400 while a command of `b` runs, and `a.x` is true from 600 on.
+/// The verdict on the check `apart`. Node `m`, which runs task `b`, is killed at 400 while a command of `b` runs, and
+/// `a.x` is true from 600 on.
 fn after_a_kill(notices: &[Notice]) -> serde_json::Value {
     let loaded = loaded();
     let mut judge = judge(&loaded, &[(100, 1, 1), (600, 0, 1)]);
@@ -106,7 +107,7 @@ fn after_a_kill(notices: &[Notice]) -> serde_json::Value {
 fn a_killed_node_is_not_dead_before_the_end_of_its_command_is_confirmed() {
     let told = after_a_kill(&[began("b", 200), ended("b", 450)]);
     assert_eq!((&told["outcome"], &told["unvouched"]), (&"held".into(), &serde_json::Value::Null), "{told}");
-    // Only the time in which the check depends on `b` counts: from the instant at which `a.x` is true.
+    // Only the time in which the check depends on `b` counts: it begins when `a.x` is true.
     for (last, seconds) in [(Some(ended("b", 900)), 0.0003), (None, 0.0044)] {
         let notices: Vec<Notice> = [began("b", 200)].into_iter().chain(last).collect();
         let told = after_a_kill(&notices);
@@ -114,7 +115,7 @@ fn a_killed_node_is_not_dead_before_the_end_of_its_command_is_confirmed() {
         assert_eq!(told["unvouched"]["seconds"], seconds, "{told}");
         assert_eq!(told["unvouched"]["why"], "the command of `b` was not confirmed to have ended");
     }
-    // First a command that the node reported just before its death; then a command that ended in time.
+    // In the first run the node reported a command just before its death; in the second run the command ended in time.
     assert_eq!(after_a_kill(&[began("b", 410)])["outcome"], "unknown");
     assert_eq!(after_a_kill(&[began("b", 200), ended("b", 350)])["outcome"], "held");
 }
@@ -151,7 +152,7 @@ fn a_check_that_asks_where_a_dead_task_had_arrived_is_unknown_and_its_other_valu
         let value = |ask: &Ask| if matches!(ask, Ask::Arrived(_)) { -1 } else { flag };
         Change { at, task: TaskId::from_index(task), values: asks(&loaded)[task].iter().map(value).collect() }
     };
-    // While `a.x` is false, `met` holds wherever b is.
+    // While `a.x` is false, the check `met` holds whatever `b` does.
     for (x_at, outcome) in [(600, "unknown"), (6_000, "held")] {
         let mut judge = Judge::new(&loaded, &[NodeId(0), NodeId(1)]);
         for change in [change(1, 0, 0), change(1, 1, 0), change(200, 1, 1), change(x_at, 0, 1)] {
@@ -190,7 +191,7 @@ fn a_node_that_could_not_tell_everything_answers_for_its_commands_and_is_known_f
 #[test]
 fn dropped_changes_leave_a_check_unknown_and_what_happened_to_nodes_and_commands_is_kept() {
     let loaded = loaded();
-    // Node `n` reports nothing, so that all changes of `b` wait.
+    // Node `n` reports nothing, so all changes of `b` wait for its report.
     let mut judge = judge(&loaded, &[]);
     judge.notice(began("b", 20));
     judge.notice(Notice::Lost { key: "b".into(), at: 50 });
@@ -230,7 +231,7 @@ check alone: never a.active and b.active;";
 fn a_task_that_may_no_longer_act_does_not_answer_for_its_command() {
     let loaded =
         load(&Source { name: "c.cell".into(), text: ACTIVE.into(), paper: false }).expect("a sound cell");
-    // b is no longer active from 300 on, and a is from 400 on.
+    // Task `b` is not active any more from 300 on, and task `a` from 400 on.
     for (end, seconds) in [(400, None), (700, Some(0.0003))] {
         let mut judge = judge(&loaded, &[(50, 1, 1), (300, 1, 0), (400, 0, 1)]);
         judge.notice(began("b", 100));

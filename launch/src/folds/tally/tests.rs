@@ -1,4 +1,4 @@
-//! Tests of the tally: outcomes of rounds by the events of their members.
+//! Tests of the tally: the outcomes of rounds, computed from the events of the members.
 
 use super::*;
 use crate::folds::spread::Spread;
@@ -59,12 +59,12 @@ fn a_release_without_an_announcement_is_false() {
     let mut unheard = tally(&events);
     unheard.untold(TaskId(2));
     assert_eq!(unheard.rounds().false_releases, 0);
-    // The release is not false either if the member's node was killed before it could report its announcement.
+    // The release is not a false release either if the member's node was killed before it could report its announcement.
     let mut half = tally(&events);
     half.take(&Event { at: 9, task: TaskId(2), port: PortId(0), round: Round(1), what: What::Released });
     half.died(TaskId(2), 12);
     assert_eq!((half.rounds().false_releases, half.rounds().released), (0, 1));
-    // The outcome of the round is unknown if the node was killed during the round, or before it reported anything.
+    // The outcome of the round is unknown if the member's node was killed during the round, or before it reported anything.
     for at in [7, 4] {
         let mut killed = tally(&events);
         killed.died(TaskId(2), at);
@@ -84,7 +84,8 @@ fn who_was_started_again_counts_again() {
     let both = |at, round, what| [(at, 0, round, what), (at, 1, round, what)];
     let mut events = all_announce(5, 1);
     events.extend((0..3).map(|task| (6, task, 1, What::Released)));
-    // The node is killed at 10. The other members give up in round 2, and meet the restarted member in round 3.
+    // The node of the third member is killed at 10. The other members give up in round 2, and meet the restarted member
+    // in round 3.
     events.extend(both(20, 2, What::Announced).into_iter().chain(both(220, 2, GAVE_UP)));
     let mut tally = tally(&events);
     tally.died(TaskId(2), 10);
@@ -124,7 +125,8 @@ fn what_a_killed_node_did_last_is_unknown_and_later_it_did_nothing() {
 
 #[test]
 fn the_last_announcement_of_a_killed_node_may_be_untold() {
-    // The member was the first to reach round 2, and was killed. Its arrival released the others, who came later.
+    // The third member was the first to reach round 2, and was then killed. Its arrival released the other members, who
+    // came later.
     let both = |at, round, what| [(at, 0, round, what), (at, 1, round, what)];
     let mut events = vec![(5, 2, 1, What::Announced), (6, 2, 1, What::Released)];
     events.extend(both(5, 1, What::Announced).into_iter().chain(both(6, 1, What::Released)));
@@ -137,17 +139,17 @@ fn the_last_announcement_of_a_killed_node_may_be_untold() {
 
 #[test]
 fn rounds_that_nobody_waited_out_are_no_rounds() {
-    // Member 0 moved on to a round in which the others wait.
+    // Member 0 moved on to round 2, in which the other members wait.
     let events = [(5, 0, 1, What::Announced), (9, 0, 2, What::Announced), (205, 0, 2, GAVE_UP)];
     assert_eq!(tally(&events).rounds(), Rounds { rounds: 1, timed_out: 1, ..Rounds::default() });
-    // The run ended before the others reported their releases.
+    // The run ended before the other members reported their releases.
     let mut events = all_announce(5, 1);
     events.push((9, 1, 1, What::Released));
     assert_eq!(tally(&events).rounds(), Rounds { unfinished: 1, ..Rounds::default() });
 }
 
-/// Feeds the events of rounds of three members. Most rounds release all; in some the third member is absent, in some the
-/// second one gives up.
+/// Feeds the events of rounds of three members. Most rounds release all members. In some rounds the third member is
+/// absent, in others the second member gives up.
 fn feed(tally: &mut Tally, from: u64, to: u64) {
     for step in from..to {
         let at = step * 1_000;
@@ -174,7 +176,8 @@ fn what_is_settled_counts_as_it_did_before() {
     assert_eq!((folded.released(), folded.rounds.len()), (plain.released(), 16));
     let rounds = plain.rounds();
     assert!(rounds.released > 300 && rounds.timed_out > 50 && rounds.divergent > 30, "{rounds:?}");
-    // The last lines about a dead task must be the same whether or not finished rounds were already dropped from the tally.
+    // The results for a member that is killed last must be the same whether or not the tally has already dropped
+    // finished rounds.
     for tally in [&mut plain, &mut folded] {
         tally.died(TaskId(2), 500_500);
     }

@@ -1,7 +1,7 @@
 //! Finds roundings of recorded times with which the model can follow a run.
 //!
-//! An event between two ticks of the model may count for either tick. First every time is rounded down. If the model
-//! cannot follow the run with these ticks, one of the latest times is rounded up instead, the latest first. That may
+//! An event between two ticks of the model may count for either tick. First every time is rounded down. If the model cannot
+//! follow the run with these ticks, one of the latest times is rounded up instead, the latest first. The other rounding may
 //! put two times of one tick in order, or make the time between two events a tick longer or shorter.
 
 use super::run::{Followed, Run, Unexplained};
@@ -13,19 +13,20 @@ use std::cmp::Reverse;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// The number of inputs between two kept states of the follower. From a kept state another rounding can be
-/// tried.
+/// The number of inputs between two kept states of the follower. The search for roundings returns to a kept state to try
+/// another rounding.
 const KEEP_EVERY: usize = 32;
-/// How many of the last inputs may have their times rounded otherwise.
+/// The greatest number of the last inputs whose times may be rounded otherwise.
 const BACK: usize = 400;
-/// A rounding is adopted at once if the model then follows this many inputs past the one at which it was stuck.
+/// A rounding is adopted at once if the model then follows this many inputs past the input at which it was stuck.
 const BEYOND: usize = 12;
 
-/// The most roundings that one search combines, and how many of its best trials it continues with another rounding.
+/// The greatest number of roundings that one search combines. Also the number of its best trials that the search continues
+/// with a further rounding.
 const DEEP: usize = 4;
 const WIDTH: usize = 3;
 
-/// How far the model follows the run after one time was rounded otherwise.
+/// How far the model follows the run after the time of one more input was rounded otherwise.
 struct Trial {
     follower: Follower,
     rounded: (usize, usize),
@@ -36,12 +37,12 @@ struct Trial {
 struct Guide {
     start: Instant,
     seconds: f64,
-    /// The run as far as it was followed, and earlier states to return to.
+    /// The follower of the run as far as it got, and earlier states to which the search can return.
     at: Follower,
     kept: Vec<Follower>,
 }
 
-/// Follows a run through the model, with the faults of the run. The plan's faults are not used.
+/// Follows a run through the model, with the faults of the run. The faults that the plan declares are not used.
 #[must_use]
 pub fn follow_run(plan: &Arc<CellPlan>, run: &Run) -> Followed {
     let plan = with_programs(plan);
@@ -93,8 +94,8 @@ impl Guide {
         }
     }
 
-    /// Rounds earlier times otherwise until the model can follow the run past `stuck`; returns whether it can. If no single
-    /// rounding leads [`BEYOND`] inputs further, the best trials are continued with a second one.
+    /// Rounds earlier times otherwise until the model can follow the run past `stuck`. Returns whether it can. If no single
+    /// rounding leads [`BEYOND`] inputs further, a second rounding is added to the best trials.
     fn round_otherwise(&mut self, stuck: &Unexplained, deep: usize) -> Result<bool, String> {
         let mut better = self.trials(stuck)?;
         if better.first().is_some_and(|trial| trial.led) {
@@ -124,13 +125,14 @@ impl Guide {
         self.at = follower;
     }
 
-    /// Tries other roundings. Returns all trials that follow more inputs, or only the first that follows [`BEYOND`] more.
+    /// Tries other roundings. Returns all trials that follow more inputs, or only the first trial that follows [`BEYOND`]
+    /// more inputs.
     fn trials(&self, stuck: &Unexplained) -> Result<Vec<Trial>, String> {
         let reached = self.at.done.len();
         let node = self.at.node_of(stuck.task);
         let mut candidates: Vec<(usize, usize)> = self.at.done.iter().rev().take(BACK).copied().collect();
         candidates.insert(0, self.at.stuck_at(stuck.task));
-        // Times of the same node come first.
+        // Inputs of the stuck input's node come first.
         candidates.sort_by_key(|&(task, _)| self.at.node_of(TaskId::from_index(task)) != node);
         let mut better = Vec::new();
         for rounded in candidates {

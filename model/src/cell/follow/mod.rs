@@ -1,5 +1,5 @@
-//! Follows a recorded run through the model: the same scripts, state machines, links and nodes take the inputs that each task
-//! took in the run.
+//! Follows a recorded run through the model: the model's scripts, state machines, links and nodes take the inputs that each
+//! task took in the run.
 //!
 //! ```text
 //!   recorded:  for each task its inputs, and what its script made of them, in microseconds
@@ -39,12 +39,12 @@ use std::sync::Arc;
 
 /// Ticks that the clock of a node may be ahead of the run, because every node rounds the remaining time of a message.
 const AHEAD: u64 = 2;
-/// Ticks by which a node may notice late that time has passed. The cell's assumptions allow one (D42).
+/// Ticks by which a node may notice late that time has passed. The cell's assumptions allow one tick (D42).
 const LATE: u64 = 1;
 /// Ticks that no rounding of two times can add to the time between them or take from it.
 const ROUNDED: u64 = 4;
 
-/// An input of a task, and what its script did with it.
+/// An input of a task, and what the task's script did with it.
 #[derive(Clone, Debug)]
 struct Group {
     at: u64,
@@ -54,19 +54,19 @@ struct Group {
     turns: Vec<Turn>,
 }
 
-/// How a time is rounded, unless it is rounded down to its tick.
+/// How a recorded time is rounded, unless it is rounded down to its tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Rounding {
-    /// One tick later.
+    /// The input happens one tick later.
     Up,
-    /// One tick earlier.
+    /// The input happens one tick earlier.
     Down,
     /// The remaining time of the packet is one tick less.
     Charged,
     /// A late node counts the time that it missed in the other way than usual: at once for timers, and deadline by
     /// deadline for communication tasks.
     Otherwise,
-    /// The timer or delay that the run shows ends before the time_outs of its tick.
+    /// The timer or delay whose end the run shows ends first in its tick, before the time_outs of that tick.
     First,
 }
 
@@ -77,10 +77,10 @@ impl Rounding {
 /// How the time of an input is rounded to ticks, by task and position of the input's group among the task's groups.
 pub(super) type Roundings = BTreeMap<(usize, usize), Rounding>;
 
-/// A run, followed up to some input.
+/// A run that the model has followed up to some input.
 #[derive(Clone)]
 pub(super) struct Follower {
-    /// Microseconds in a tick.
+    /// The length of a tick in microseconds.
     tick: u64,
     run_state: RunState,
     pub roundings: Roundings,
@@ -89,18 +89,18 @@ pub(super) struct Follower {
     starts: Vec<u64>,
     clocks: Vec<u64>,
     acts: Vec<u64>,
-    /// For each task and activation, the ticks by which its action exceeds its most time.
+    /// For each task and activation, by how many ticks its action has exceeded the action's most time.
     over: BTreeMap<(usize, u8), u64>,
-    /// Ticks by which the ends of timers were put off, because the run has not shown them yet.
+    /// For each timer, by how many ticks its end was put off, because the run has not shown the end yet.
     put_off: BTreeMap<time::Timer, u64>,
-    /// For each task its inputs, and how many of them were followed.
+    /// For each task, its inputs. `next` says how many of them were followed.
     groups: Arc<Vec<Vec<Group>>>,
     next: Vec<usize>,
     /// For each node, whether its recording is complete.
     whole: Vec<bool>,
-    /// Guessed moves of killed nodes, which no recording has.
+    /// How many moves of killed nodes, which no recording has, were guessed.
     guessed: u64,
-    /// The inputs that were followed, in order: the task, and the position among its groups.
+    /// The inputs that were followed, in order. Each is a task and a position among the task's groups.
     pub done: Vec<(usize, usize)>,
     /// For each task, steps of its script in the model that the run has not shown yet.
     pending: Vec<VecDeque<Turn>>,
@@ -111,28 +111,28 @@ pub(super) struct Follower {
     pub out: Followed,
 }
 
-/// Why an input cannot be followed now.
+/// Why the model cannot take an input now.
 enum No {
     /// The packet of this input is not in flight in the model yet: another task may have to go on first.
     NotYet(String),
     Never(String),
-    /// The model cannot follow the input, whatever the rounding of times.
+    /// The model cannot follow the input, however times are rounded.
     However(String),
 }
 
 /// Where following a run stops.
 #[derive(Clone, Debug)]
 pub(super) enum Stop {
-    /// The whole run was followed.
+    /// At the end of the run: the whole run was followed.
     Over,
-    /// As many inputs as requested were followed.
+    /// After as many inputs as requested.
     Far,
-    /// The model cannot do what the run did next.
+    /// At an event that the model cannot produce next.
     Stuck(Unexplained),
 }
 
-/// The inputs of a task, each with what its script did with it. Inputs that are only passing time, and have
-/// no effect, are left out.
+/// The inputs of a task, each with what the task's script did with it. Inputs that are only passing time, and have no
+/// effect, are left out.
 fn groups(run_state: &RunState, run: &Run, task: usize) -> Vec<Group> {
     let mut groups: Vec<Group> = Vec::new();
     let here = run_state.cell.node_state_of(task);
@@ -155,7 +155,7 @@ fn groups(run_state: &RunState, run: &Run, task: usize) -> Vec<Group> {
             }
         }
     }
-    // Incarnations are not followed: news of a restarted peer counts as passing time.
+    // The model does not follow incarnations: the input that a peer has restarted counts as passing time.
     let idle = |group: &Group| matches!(group.cause, Happened::Time | Happened::PeerRestarted(_));
     groups.retain(|group| !idle(group) || !group.sent.is_empty() || !group.turns.is_empty());
     groups
@@ -164,7 +164,7 @@ fn groups(run_state: &RunState, run: &Run, task: usize) -> Vec<Group> {
 impl Follower {
     pub fn new(plan: &Arc<CellPlan>, run: &Run) -> Self {
         let mut run_state = RunState::new(plan, &CellFaults::default());
-        // No script has begun yet, because the run gives the order in which its tasks go on.
+        // No script has begun yet, because the run decides the order in which its tasks begin.
         run_state.cell = CellState::waiting(&Arc::clone(&run_state.cell.plan));
         run_state.cell.keep_log = true;
         let (nodes, tasks) = (run_state.cell.nodes.len(), plan.tasks.len());
@@ -194,7 +194,7 @@ impl Follower {
         }
     }
 
-    /// The next input of a task: the task, and the position among its groups.
+    /// The next input of a task that is to be followed: the task, and the position among the task's groups.
     pub fn stuck_at(&self, task: TaskId) -> (usize, usize) {
         (task.index(), self.next[task.index()])
     }
@@ -204,7 +204,7 @@ impl Follower {
         self.run_state.cell.node_state_of(task.index())
     }
 
-    /// Follows the run until `inputs` of its inputs were followed in all, or until it cannot go on.
+    /// Follows the run until `inputs` of its inputs were followed in all, or until the model cannot go on.
     pub fn go(&mut self, inputs: usize) -> Stop {
         let mut order: Vec<(u64, usize)> = Vec::new();
         while self.done.len() < inputs {
@@ -244,7 +244,7 @@ impl Follower {
         Stop::Far
     }
 
-    /// The operation of the run's next script step of a task; without one, the operation at which the task is in the model.
+    /// The operation of a task's next script step in the run; if there is none, the one at which the task is in the model.
     fn address(&self, task: usize) -> Address {
         let next = self.groups[task].get(self.next[task]).and_then(|group| group.turns.first());
         next.map_or_else(|| super::judge::position(&self.run_state, task), |turn| turn.at)
@@ -259,7 +259,7 @@ impl Follower {
         match group.cause {
             Happened::Started => {}
             Happened::Begun => {
-                // A script may begin long after its node's first record. Its first action must not count that time.
+                // A script may begin long after its node's first record. That time must not count for its first action.
                 self.let_actions_go_on(node, now);
                 self.catch_up(node, counted)?;
                 self.run_state.cell.leave(task, ScriptInput::Begin);
@@ -333,7 +333,7 @@ impl Follower {
         for effect in std::mem::take(&mut self.run_state.cell.log) {
             if let Effect::Sent(_, packet) = effect {
                 let task = packet.source.index();
-                // Packets that a node only relays do not count.
+                // Packets that a node only relays do not count as sent by its tasks.
                 if self.run_state.cell.node_state_of(task) == node {
                     self.sends[task].push((self.clocks[node], named(&packet)));
                 }
@@ -341,7 +341,7 @@ impl Follower {
         }
     }
 
-    /// Checks that the run has shown all steps of a task in the model, before the task takes a new input.
+    /// Checks that the run has shown everything that a task did in the model, before the task takes a new input.
     fn quiet(&self, task: usize, what: &str) -> Result<(), No> {
         match self.pending[task].front() {
             None => Ok(()),

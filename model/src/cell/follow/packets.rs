@@ -5,13 +5,13 @@ use super::{AHEAD, Follower, No, Rounding};
 use crate::cell::judge::name;
 use imrs_protocol::Packet;
 
-/// The most moves of a killed node that are guessed for one packet.
+/// The greatest number of moves of a killed node that are guessed for one packet.
 const GUESSES: usize = 8;
 /// How many of the latest arrived packets are kept, because a copy of a packet arrives soon after it.
 const REPEATED: usize = 64;
 
 impl Follower {
-    /// A packet arrives at a task, as the run shows.
+    /// Follows the arrival of a packet at a task, which the run shows.
     pub(super) fn packet(
         &mut self,
         task: usize,
@@ -42,7 +42,7 @@ impl Follower {
         }
     }
 
-    /// Whether the recording of its source shows this packet, or is incomplete.
+    /// Whether the recording of the packet's source shows this packet, or is incomplete.
     fn was_sent(&self, packet: &Packet) -> bool {
         let source = packet.source.index();
         let mut sent = self.groups[source].iter().flat_map(|group| &group.sent);
@@ -50,8 +50,9 @@ impl Follower {
         !is_whole || sent.any(|sent| *sent == named(packet))
     }
 
-    /// Carries a packet along its route to a node; false if a node on the route drops it. `more`: by how many ticks the
-    /// packet was charged more in the run than in the model; `None` if the run does not show its remaining time.
+    /// Carries a packet along its route to a node. Returns false if a node on the route drops the packet. `more`: by how
+    /// many ticks the packet was charged more in the run than in the model; `None` if the run does not show its remaining
+    /// time.
     fn carry(&mut self, packet: &Packet, node: usize, more: Option<u64>) -> Result<bool, No> {
         while let Some(i) = self.under_way(packet) {
             let carried = self.run_state.cell.in_flight.remove(i);
@@ -77,8 +78,8 @@ impl Follower {
         Ok(false)
     }
 
-    /// Guesses moves of a killed node that lead to this packet, because the node may have done more than its recording shows. It
-    /// tries the newest packet in flight to the node first.
+    /// Guesses moves of a killed node that lead to this packet, because the node may have done more than its recording
+    /// shows. The function tries the newest packet in flight to the node first.
     fn guess(&mut self, node: usize, task: usize, wanted: &Packet) -> bool {
         let over = (0..self.next.len()).filter(|&task| self.run_state.cell.node_state_of(task) == node);
         let mut over = over.map(|task| self.next[task] == self.groups[task].len());
@@ -120,7 +121,8 @@ impl Follower {
             *self = next;
             self.guessed += 1;
             if let Some(at) = self.like(wanted) {
-                // Unknown are the results of its actions, and the contents that follow from them.
+                // The recording does not show the results of the killed node's actions, nor the contents that follow from
+                // them.
                 self.run_state.cell.in_flight[at].packet.contents = wanted.contents;
                 return true;
             }
@@ -128,7 +130,8 @@ impl Follower {
         false
     }
 
-    /// Puts a copy in flight if a link may have made it: the packet arrived before, and its source does not send it again.
+    /// Puts a copy of a packet in flight if a link may have made the copy: the packet has arrived before, and its source
+    /// does not send it again.
     fn copied(&mut self, packet: &Packet) -> bool {
         let source = packet.source.index();
         let mut to_come = self.groups[source][self.next[source]..].iter().flat_map(|group| &group.sent);
@@ -151,14 +154,14 @@ impl Follower {
             .collect()
     }
 
-    /// The packet in flight that differs from this one only in its contents.
+    /// The packet in flight that differs from `packet` only in its contents.
     fn like(&self, packet: &Packet) -> Option<usize> {
         let like = |other: &Packet| named(&Packet { contents: packet.contents, ..*other }) == named(packet);
         self.run_state.cell.in_flight.iter().position(|carried| like(&carried.packet))
     }
 
-    /// Among the packets in flight in the model that equal this one, the one whose remaining time is nearest
-    /// to this one's.
+    /// Of the packets in flight in the model that equal `packet`, the one whose remaining time is nearest to that of
+    /// `packet`.
     pub(super) fn under_way(&self, packet: &Packet) -> Option<usize> {
         let left = packet.remaining.0 / self.tick;
         let same = |other: &Packet| named(other) == named(packet);
@@ -172,7 +175,7 @@ impl Follower {
         all.map(|(at, _)| at).min_by_key(|&at| distance(at))
     }
 
-    /// Counts packets in flight at the end of the run as lost. This includes packets that were sent just before.
+    /// Counts packets in flight at the end of the run as lost. This includes packets that were sent just before the end.
     pub(super) fn count_lost(&mut self) {
         let cell_state = &self.run_state.cell;
         for (at, (from, to, _)) in cell_state.links.iter().enumerate() {

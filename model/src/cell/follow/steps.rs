@@ -12,7 +12,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Moves of one random walk.
+/// The number of moves of one random walk through the model.
 const LENGTH: usize = 6_000;
 
 /// A kind of script step, without contents: where the script waited, what came, which statements it began.
@@ -35,16 +35,16 @@ impl Kind {
 /// The result of comparing the script steps of a run with those that random walks through the model take.
 #[derive(Clone, Debug, Default)]
 pub struct Steps {
-    /// The number of kinds of script steps in the run.
+    /// The number of different kinds of script steps in the run.
     pub kinds: usize,
     /// Kinds of steps that no random walk took: the task, and the operation in which its script waited.
     pub missing: Vec<(TaskId, Address)>,
-    /// Random walks through the model.
+    /// The number of random walks through the model.
     pub walks: u64,
 }
 
-/// Walks at random through the model within the plan's faults, until every kind of script step of the run was met or the plan's
-/// time is used up. The walks are the same every time. A kind that was not met may still be possible.
+/// Makes random walks through the model within the plan's faults, until they have met every kind of script step of the run,
+/// or the plan's time is used up. The walks are the same in every call. A kind that no walk met may still be possible.
 #[must_use]
 pub fn steps_in_model(plan: &Arc<CellPlan>, run: &Run) -> Steps {
     let (start, plan) = (Instant::now(), with_programs(plan));
@@ -59,8 +59,8 @@ pub fn steps_in_model(plan: &Arc<CellPlan>, run: &Run) -> Steps {
     let between = timed(&plan, Times::Between);
     while !missing.is_empty() && start.elapsed().as_secs_f64() < plan.budget.seconds {
         steps.walks += 1;
-        // Half of the walks have no faults, because a walk with faults seldom reaches steps that need a long time
-        // without one.
+        // Half of the random walks have no faults, because a walk with faults seldom reaches steps that need a long time
+        // without a fault.
         match draw.below(2) {
             0 => walk(&between, &CellFaults::default(), &mut draw, &mut missing),
             _ => {
@@ -84,9 +84,9 @@ fn walk(plan: &Arc<CellPlan>, faults: &CellFaults, draw: &mut Draw, missing: &mu
         }
         moves.clear();
         run_state.moves(&mut moves);
-        // To lose another packet of an open cut is no new fault.
+        // Losing one more packet of an open cut is no new fault.
         let is_fault = |step: &CellMove| step.is_fault() && !matches!(step, CellMove::Vanish(_));
-        // Faults are rare, or they would all happen at the beginning.
+        // Faults are drawn rarely, or they would all happen at the beginning of a walk.
         if draw.below(64) > 0 && moves.iter().any(|step| !is_fault(step)) {
             moves.retain(|step| !is_fault(step));
         }
@@ -97,7 +97,7 @@ fn walk(plan: &Arc<CellPlan>, faults: &CellFaults, draw: &mut Draw, missing: &mu
     }
 }
 
-/// The kind of an input, without numbers and contents.
+/// The kind of a script's input, without numbers and contents.
 fn came(input: &ScriptInput) -> (u8, Option<PortId>) {
     let signal = match input {
         ScriptInput::Begin => return (0, None),

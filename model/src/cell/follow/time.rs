@@ -9,7 +9,7 @@ use imrs_protocol::{Call, NodeInput, NodeOutbox, Packet, Signal, TaskId, Ticks, 
 /// A timer or delay: the task, and its id.
 pub(super) type Timer = (TaskId, TimeId);
 
-/// Inputs of a task that `is_tied` examines, before the one that the model cannot follow.
+/// How many inputs of a task, before the one that the model cannot follow, `is_tied` examines.
 const TIED: usize = 8;
 
 impl Follower {
@@ -28,7 +28,7 @@ impl Follower {
         self.made(node)
     }
 
-    /// Whether a node signals or sends anything when this many ticks pass.
+    /// Whether a node would signal or send anything if this many ticks passed.
     pub(super) fn shows(&self, node: usize, ticks: u64) -> bool {
         let mut look = Look(false);
         let mut node = self.run_state.cell.nodes[node].node.clone();
@@ -36,7 +36,7 @@ impl Follower {
         look.0
     }
 
-    /// Lets a node count up to a tick, but not to an instant at which it would act: the run shows that later.
+    /// Lets a node count up to a tick, but not to an instant at which it would act: the run shows later when that happens.
     pub(super) fn catch_up(&mut self, node: usize, now: u64) -> Result<(), No> {
         while self.clocks[node] < now {
             let left = now - self.clocks[node];
@@ -92,8 +92,8 @@ impl Follower {
         self.out.late.iter().any(|late| late.at >= since) || coming.max() > Some(LATE)
     }
 
-    /// Whether a time_out, timer or delay of a task ended within a tick of another input, shortly before or right after this
-    /// point. The model puts time_outs first in their tick.
+    /// Whether a time_out, timer or delay of a task ended within a tick of another input, shortly before or right after the
+    /// task's next input. The model puts time_outs first in their tick.
     pub(super) fn is_tied(&self, task: usize) -> bool {
         let next = self.next[task];
         let near = &self.groups[task];
@@ -104,7 +104,7 @@ impl Follower {
         })
     }
 
-    /// Lets time pass until a task has done what the run shows.
+    /// Lets time pass until a task has done in the model what the run shows for this input.
     pub(super) fn let_time_show(
         &mut self,
         task: usize,
@@ -155,11 +155,11 @@ impl Follower {
         Ok(())
     }
 
-    /// The timers and delays of a node, each with the ticks until it ends and the ticks until it was due. The second
-    /// number is smaller, perhaps below 0, if the end was put off because a late node has not noticed it yet.
+    /// The timers and delays of a node, each with the ticks until it ends and the ticks until it was due. The second number
+    /// is smaller, perhaps below 0, if the end was put off because a late node has not noticed the end yet.
     fn timers(&mut self, node: usize) -> Vec<(Timer, u64, i64)> {
         let entries = self.run_state.cell.nodes[node].node.parts().timer.entries();
-        // A timer that was put off ends with the next tick; if it does not, it was started again.
+        // A timer that was put off ends with the next tick. If it does not, the timer was started again.
         let known = |timer: &Timer| entries.iter().any(|&(of, id, left)| (of, id) == *timer && left.0 <= 1);
         let here = |of: TaskId| self.run_state.cell.node_state_of(of.index()) == node;
         self.put_off.retain(|timer, _| !here(timer.0) || known(timer));
@@ -171,9 +171,9 @@ impl Follower {
         entries.into_iter().map(entry).collect()
     }
 
-    /// Lets all the time pass at once, then ends the given timer, and puts off other timers that are over. If several
-    /// timers are due in one tick, any of them may end first; otherwise only the earliest may. Returns the tick in
-    /// which the timer was due; `None` if another event comes first, and then nothing was done.
+    /// Lets `all` ticks pass at once, then ends the given timer, and puts off other timers that are over. If several timers
+    /// are due in one tick, any of them may end first; otherwise only the earliest may. Returns the tick in which the timer
+    /// was due; `None` if another event comes first, and then nothing was done.
     fn end_one(&mut self, node: usize, timer: Timer, all: u64) -> Result<Option<u64>, No> {
         let timers = self.timers(node);
         let Some(&(.., left)) = timers.iter().find(|(one, ..)| *one == timer) else { return Ok(None) };
@@ -198,7 +198,7 @@ impl Follower {
         rest.time_left().map(|ticks| ticks.0)
     }
 
-    /// Puts off timers that end within `ticks` until right after these: the run shows later when they end.
+    /// Puts off the timers that end within `ticks` to the tick after these: the run shows later when they end.
     fn put_timers_off(&mut self, node: usize, ticks: u64) {
         for ((of, id), left, _) in self.timers(node).into_iter().filter(|(_, left, _)| *left <= ticks) {
             self.run_state.cell.nodes[node].node.parts_mut().timer.put(of, id, Ticks(ticks + 1));
@@ -206,7 +206,7 @@ impl Follower {
         }
     }
 
-    /// Ends a timer before all other events of its tick. Returns that tick; `None` if the timer does not end in the
+    /// Ends a timer before all other events of its tick. Returns that tick. Returns `None` if the timer does not end in the
     /// next tick that has an event.
     fn end_before_others(&mut self, node: usize, timer: Timer, expiry: u64) -> Result<Option<u64>, No> {
         if !self.timers(node).iter().any(|(one, left, _)| *one == timer && *left <= expiry) {
@@ -242,7 +242,7 @@ const fn ends(turn: &Turn) -> Option<TimeId> {
     }
 }
 
-/// Whether a node signals or sends anything.
+/// Notes whether a node signals or sends anything.
 struct Look(bool);
 
 impl NodeOutbox for Look {

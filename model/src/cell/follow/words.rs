@@ -23,17 +23,17 @@ pub(super) fn said(input: &ScriptInput) -> String {
     }
 }
 
-/// The packet without what relays and time change: its remaining time and hops.
+/// The packet without the fields that relays and time change: its remaining time and hops.
 pub(super) fn named(packet: &Packet) -> Packet {
     Packet { remaining: Ticks::ZERO, hops: 0, ..*packet }
 }
 
-/// Whether two script steps are equal but for remaining times, whose units differ.
+/// Whether two script steps are equal except for remaining times, which the run and the model count in different units.
 pub(super) fn alike(a: &Turn, b: &Turn) -> bool {
     (a.at, &a.passed, a.end) == (b.at, &b.passed, b.end) && plain(a.input) == plain(b.input)
 }
 
-/// The input without the remaining time of its message.
+/// A script's input without the remaining time of its message.
 pub(in crate::cell) fn plain(mut input: ScriptInput) -> ScriptInput {
     if let ScriptInput::Signal(Signal::Message(delivery) | Signal::Interrupt(Call::Message(delivery))) =
         &mut input

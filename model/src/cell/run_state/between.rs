@@ -1,8 +1,8 @@
 //! Event times between the extremes: an action may end before its most time, a packet may arrive before its link's bound.
 //!
 //! [`Times::Between`] decides only the order of events. An action ends at its least or most time, or right after any event
-//! between them. A packet arrives after one tick, at its link's bound, or right after any event between them. This tries every
-//! order of two close events, but not every distance to later ones. [`Times::Every`] tries every tick.
+//! between them. A packet arrives after one tick, at its link's bound, or right after any event between them. So every
+//! order of two close events is tried, but not every distance to later events. [`Times::Every`] tries every tick.
 
 use super::{RunState, bit, small};
 use crate::cell::plan::Times;
@@ -10,13 +10,13 @@ use crate::cell_state::script::Running;
 use imrs_protocol::Ticks;
 
 impl RunState {
-    /// An event happened: actions and packets that were postponed until an event may end or arrive now.
+    /// Called when an event has happened: actions and packets that were postponed until an event may end or arrive now.
     pub fn stir(&mut self) {
         self.beside.stays.clear();
         self.beside.slow = 0;
     }
 
-    /// Time passed: with [`Times::Every`], postponed actions and packets may end or arrive at this step.
+    /// Called when time has passed: with [`Times::Every`], postponed actions and packets may end or arrive at this step.
     pub fn next_step(&mut self) {
         if self.times != Times::Every {
             return;
@@ -35,7 +35,7 @@ impl RunState {
         }
     }
 
-    /// The time to the next instant at which an event may happen that is at most `most` away.
+    /// The time until the next instant at which an event may happen, at most `most`.
     pub fn to_next_step(&self, most: Ticks) -> Ticks {
         match self.plan.step {
             _ if self.times != Times::Every || most == Running::FOREVER => most,
@@ -72,7 +72,7 @@ impl RunState {
     }
 }
 
-/// Whether the search stops at an instant that is so far from the most time.
+/// Whether the search stops at an instant that is `left` before the most time.
 fn is_step(left: Ticks, step: u32) -> bool {
     left != Running::FOREVER && (step == 1 || left.0.is_multiple_of(step.into()))
 }

@@ -8,32 +8,34 @@ use crate::cell_state::CellState;
 use crate::state::Violation;
 use imrs_protocol::{Decode, Encode, Frame, Ticks, Walk};
 
-/// Marker that replaces the first byte of the cell state when values that nodes showed earlier in this tick follow.
+/// A marker that replaces the first byte of the cell state if a packed list follows: the values that nodes showed earlier
+/// in this tick.
 const TICK_VALUES: u8 = 0xff;
 
-/// Remaining faults, one byte for each budget, pause and cut. More in every byte allows a superset of the moves.
+/// The remaining faults, one byte for each budget, pause and cut. If every byte is at least as great as in another state, a
+/// superset of its moves is allowed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::cell) struct Left([u8; 8]);
 
 impl Left {
-    /// Whether this allows every fault that `other` allows.
+    /// Whether these remaining faults allow every fault that `other` allows.
     pub fn covers(self, other: Self) -> bool {
         self.0.iter().zip(other.0).all(|(mine, others)| *mine >= others)
     }
 }
 
-/// Number of bytes at the beginning of a state that hold [`Left`].
+/// The number of bytes at the beginning of a packed state that hold [`Left`].
 fn left_len(faults: &CellFaults) -> usize {
     let counted = [faults.loss, faults.dup, faults.reorder, faults.fail, faults.drift];
     let counted = counted.iter().filter(|had| **had > 0).count() + faults.pause.len();
     let len = counted + faults.cut.len();
-    // An open cut forbids copies and overtaking, a cut that is over does not: then cuts cannot be compared. More than 8
-    // bytes do not fit into [`Left`].
+    // An open cut forbids copies and overtaking, a cut that is over allows them: then states of cuts cannot be compared.
+    // More than 8 bytes do not fit into [`Left`].
     if faults.dup > 0 || faults.reorder > 0 || len > 8 { counted.min(8) } else { len }
 }
 
 impl RunState {
-    /// Splits a state into its remaining faults and the rest.
+    /// Splits a state into its remaining faults and all other bytes.
     pub fn split<'a>(&self, state: &'a [u8]) -> (Left, &'a [u8]) {
         let len = if self.plan.everything { 0 } else { left_len(&self.faults) };
         let (budgets, core) = state.split_at(len.min(state.len()));
@@ -42,16 +44,16 @@ impl RunState {
         (left, core)
     }
 
-    /// The packed form, as [`pack`](Self::pack) writes it.
+    /// The packed form of the state, as [`pack`](Self::pack) writes it.
     ///
     /// # Errors
-    /// The errors of `pack`.
+    /// The errors of [`pack`](Self::pack).
     pub fn store(&mut self) -> Result<Box<[u8]>, Violation> {
         self.pack()?;
         Ok(self.packed().into())
     }
 
-    /// What [`pack`](Self::pack) wrote last.
+    /// The bytes that [`pack`](Self::pack) wrote last.
     pub fn packed(&self) -> &[u8] {
         &self.packed
     }
@@ -70,7 +72,8 @@ impl RunState {
 
     fn pack_into(&mut self, out: &mut Vec<u8>) -> Result<(), Violation> {
         self.bury();
-        // Keep only the `acted` bits of nodes that may still crash or restart: no move depends on the others.
+        // Packing keeps only the `acted` bits of nodes that may still crash or restart, because no move depends on the
+        // other bits.
         let may = self.faults.crash.iter().zip(&self.beside.crashed).filter(|(_, crashed)| **crashed == 0);
         let may = may.fold(0_u64, |mask, (node, _)| mask | bit(node.index()));
         let down = (0..self.cell.nodes.len()).filter(|&node| self.is_down(node));
@@ -93,7 +96,7 @@ impl RunState {
             .flat_map(|tick_values| &tick_values.earlier)
             .any(|earlier| !earlier.is_empty())
         {
-            // The first byte of the cell state is 0 without a violation, so the marker may replace it.
+            // The first byte of the cell state is 0 without a violation, so the marker may replace this byte.
             out[at] = TICK_VALUES;
             let tick_values = Encode::bytes(&frame, |w| {
                 self.tick_values.iter_mut().for_each(|tick_values| tick_values.walk(w));
@@ -196,7 +199,7 @@ impl Beside {
     }
 }
 
-/// A task and one of its activations.
+/// Walks a task and one of its activations.
 fn walk_thread<W: Walk>((task, level): &mut (u8, u8), w: &mut W) {
     w.byte(task);
     w.byte(level);
@@ -217,7 +220,7 @@ fn walk_left<W: Walk>(left: &mut Option<Ticks>, w: &mut W) {
     *left = (!read.is_zero()).then(|| read - Ticks(1));
 }
 
-/// A pause: the ticks that it may still last, the ticks that it has lasted, and the actions that it holds back.
+/// Walks a pause: the ticks that it may still last, the ticks that it has lasted, and the actions that it holds back.
 fn walk_pause<W: Walk>(asleep: &mut Option<Asleep>, slept: &mut Option<u32>, w: &mut W) {
     let mut left = asleep.as_ref().map(|asleep| asleep.left);
     or_none(&mut left, w);
@@ -231,7 +234,7 @@ fn walk_pause<W: Walk>(asleep: &mut Option<Asleep>, slept: &mut Option<u32>, w: 
 }
 
 impl TickValues {
-    /// Packs what nodes showed earlier in this tick: how many sights, then their values.
+    /// Walks what the nodes showed earlier in this tick: how many groups of values, then the values.
     fn walk<W: Walk>(&mut self, w: &mut W) {
         let widths: Vec<usize> = self.widths().collect();
         for (earlier, width) in self.earlier.iter_mut().zip(widths) {

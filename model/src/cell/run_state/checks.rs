@@ -1,9 +1,9 @@
-//! Which checks a move may have changed: only these are evaluated.
+//! Finds the checks whose values a move may have changed: only these checks are evaluated.
 //!
-//! A variable changes only in a step of its task's script, or when its node crashes or restarts. So a check that reads variables
-//! of other tasks keeps its value. A predicate may change with any move.
+//! A variable changes only in a step of its task's script, or when its node crashes or restarts. So a check that reads only
+//! variables of other tasks keeps its value. A predicate may change with any move.
 //!
-//! In steps from a sampled state, the checks that kept their values are evaluated, too, and must have these values.
+//! In steps from a sampled state, the checks that kept their values are evaluated, too, and must give the same values.
 
 use super::{CellMove, RunState, bit};
 use crate::cell::plan::{CellPlan, Holds};
@@ -21,11 +21,12 @@ const ALL: u64 = u64::MAX;
 pub(super) struct Evaluated {
     /// For each check, the tasks whose variables it reads, as a bit set.
     reads: Vec<u64>,
-    /// For each check, the last values of its two sides; `None` after a state was loaded. An `always` has one side, the right one.
+    /// For each check, the last values of its two sides; `None` after a state was loaded. An `always` check has one side,
+    /// which counts as the right one.
     values: Vec<Option<[bool; 2]>>,
     /// The tasks whose variables the last move may have changed, as a bit set.
     touched: u64,
-    /// Whether the evaluation of a sampled step gave another value than the kept one, which is a fault of the
+    /// Whether the evaluation in a sampled step gave a check another value than the kept value, which is a fault of the
     /// checker.
     is_stale: bool,
 }
@@ -42,7 +43,7 @@ impl Evaluated {
         }
     }
 
-    /// A kept state was loaded. No check is broken in it, and its obligations are part of it.
+    /// Called after a kept state was loaded. No check is broken in such a state, and its obligations are part of it.
     pub fn forget(&mut self) {
         self.values.fill(None);
     }
@@ -67,7 +68,7 @@ impl Evaluated {
         self.touched == ALL || tasks == ALL || tasks & self.touched != 0
     }
 
-    /// The values of both sides of a check; `None` if they are as they were when the state was kept.
+    /// The values of both sides of a check; `None` if they are the same as when the state was kept.
     pub fn values(&mut self, at: usize, holds: &Holds, cell: &CellState) -> Option<[bool; 2]> {
         let may_differ = self.touches_any(self.reads[at]);
         if !may_differ && !cell.is_sampled {

@@ -5,7 +5,7 @@ use crate::state::Violation;
 use imrs_protocol::Ticks;
 
 impl RunState {
-    /// Lets time pass until the next event. `drift`: a node that counts a tick more (`true`) or less.
+    /// Lets time pass until the next event. `drift` names a node that counts a tick more (`true`) or less.
     pub(super) fn pass(
         &mut self,
         next: Option<Ticks>,
@@ -23,13 +23,13 @@ impl RunState {
         Ok(())
     }
 
-    /// Ends an instant: forgets which nodes acted and what they showed in it.
+    /// Ends an instant: forgets which nodes acted in it, and what they showed.
     pub fn end_instant(&mut self) {
         self.beside.acted = 0;
         self.begin_tick();
     }
 
-    /// Lets time pass for everything. Nodes notice it, one after the other.
+    /// Lets time pass for the whole cell. The nodes notice the time one after the other.
     pub fn elapse(&mut self, ticks: Ticks, drift: Option<(usize, bool)>) -> Result<(), Violation> {
         for (check, due) in self.beside.due.iter_mut().enumerate() {
             match *due {

@@ -9,8 +9,7 @@ use imrs_protocol::{TaskId, Ticks};
 const LONGEST: Ticks = Ticks(u32::MAX as u64 - 4);
 
 impl RunState {
-    /// Prepares a restarted node's scripts: those that are not held back begin in this tick, the others
-    /// later.
+    /// Prepares a restarted node's scripts: scripts that are not held back begin in this tick, the other scripts later.
     pub fn begin_again(&mut self, node: usize) {
         let at_once = self.here(node).filter(|&task| self.held(task).is_zero());
         self.beside.begins[node] = at_once.fold(0, |begins, task| begins | bit(task));
@@ -54,8 +53,8 @@ impl RunState {
         (begins != 0).then_some(begins.trailing_zeros() as usize)
     }
 
-    /// Whether the script that [`begins_next`](Self::begins_next) names may begin now: its task must have
-    /// noticed the time first.
+    /// Whether the script that [`begins_next`](Self::begins_next) names may begin now: the script's task must have noticed
+    /// the time first.
     pub fn may_begin(&self, node: usize) -> bool {
         self.begins_next(node).is_some_and(|task| self.cell.notices_all(node, task))
     }

@@ -1,8 +1,10 @@
-//! Finds dead variables: those that a script does not read before it writes them again. States that differ only there are equal.
+//! Finds dead variables: those that a script does not read before it writes them again. States that differ only in dead
+//! variables are equal.
 //!
 //! This is the usual backward data-flow analysis over a program's operations, one bit for each variable. A handler may
-//! interrupt the task's thread anywhere, so whatever a handler reads is live everywhere. So is what a check reads, and what the
-//! task reads when it starts over and keeps its variables: after a take-over, or when its lease came back (D61).
+//! interrupt the task's thread anywhere, so whatever a handler reads is live everywhere. The same holds for what a check
+//! reads, and for what the task reads when it starts over and keeps its variables: after a take-over, or when its lease
+//! came back (D61).
 
 use crate::cell::plan::{CellPlan, Conduct, Holds};
 use imrs_protocol::TaskId;
@@ -17,7 +19,7 @@ pub(in crate::cell) struct Dead {
 }
 
 impl Dead {
-    /// The dead variables while the task's own thread waits in this operation; `None`: the script has ended.
+    /// The dead variables while the task's own thread waits in this operation. `None` stands for a script that has ended.
     pub fn at(&self, position: Option<Address>) -> u64 {
         position.map_or(self.ended, |at| self.at.get(usize::from(at)).copied().unwrap_or(0))
     }
@@ -33,7 +35,7 @@ pub(in crate::cell) fn dead(plan: &CellPlan) -> Vec<Dead> {
 }
 
 fn of_program(plan: &CellPlan, task: TaskId, program: &Program) -> Dead {
-    // A variable past the 64 bits is never dead.
+    // Variables past the first 64 are never dead.
     let known = u64::MAX.checked_shr(64_u32.saturating_sub(count(program.variables.len()))).unwrap_or(0);
     let live = flow(program);
     let at = |address: Address| live.get(usize::from(address)).copied().unwrap_or(u64::MAX);

@@ -1,4 +1,4 @@
-//! Lists the transitions that a cell state allows.
+//! Lists the moves that a cell state allows.
 
 use super::{CellMove, OPEN, RunState, UNUSED, bit, small};
 use crate::cell::plan::{Conduct, Times};
@@ -6,7 +6,7 @@ use crate::cell_state::script::Running;
 use crate::cell_state::{CellState, InFlight};
 use imrs_protocol::Ticks;
 
-/// No event that is farther away is waited for: packed states have no room for it.
+/// Events that are farther away than this are left out, because packed states have no space for such times.
 const LATEST: Ticks = Ticks(u32::MAX as u64);
 
 impl CellState {
@@ -24,7 +24,8 @@ impl CellState {
 }
 
 impl RunState {
-    /// Adds the possible moves: those of the first node with something to do in this tick. Time passes only if no node has any.
+    /// Adds the possible moves: the moves of the first node that has something to do in this tick. Time passes only if no
+    /// node has a move.
     pub fn moves(&self, moves: &mut Vec<CellMove>) {
         for node in 0..self.cell.nodes.len() {
             self.turn(node, moves);
@@ -95,12 +96,14 @@ impl RunState {
                     comes = true;
                 }
                 None if up && self.may_come_early(carried) => {
-                    // An open cut may end with an early packet, too. Otherwise it would not cover a cut that is over.
+                    // An open cut may end with an early packet, too. Otherwise a state with an open cut would not cover a
+                    // state whose cut is over.
                     let open = self.cut_of(carried.link, OPEN);
                     let comes = open.map_or(CellMove::Deliver(small(i)), |cut| CellMove::Mend(small(i), cut));
                     moves.extend([comes, CellMove::Stay(carried.link)]);
                 }
-                // A packet overtakes as late as possible, when the one ahead arrives, but never in the tick of its sending.
+                // A packet overtakes as late as possible: when the packet ahead is about to arrive. It never overtakes in
+                // the tick in which it was sent.
                 Some(ahead)
                     if ahead.age >= bound && !carried.age.is_zero() && self.may_overtake(carried.link) =>
                 {
@@ -120,8 +123,8 @@ impl RunState {
         }
     }
 
-    /// Adds the moves of a node in which inputs of tasks wait or scripts are about to begin (D170). Other moves are
-    /// added only if they give a task an input, or let the next packet do so. Postponing an action or packet, and
+    /// Adds the moves of a node in which inputs of tasks wait or scripts are about to begin (D170). Other moves are added
+    /// only if they give a task an input, or let the next packet of a link give one. Postponing an action or packet, and
     /// losing the last packet of a link, change nothing for tasks with waiting inputs, so these moves are tried when no
     /// input waits.
     fn turn_within(&self, node: usize, moves: &mut Vec<CellMove>) {
@@ -141,7 +144,7 @@ impl RunState {
         moves.splice(..0, takes.chain(self.may_begin(node).then_some(CellMove::Begin(small(node)))));
     }
 
-    /// Whether packets may overtake on a link: not while it is cut.
+    /// Whether packets may overtake each other on a link: not while the link is cut.
     fn may_overtake(&self, link: u8) -> bool {
         self.beside.reorder > 0 && self.cut_of(link, OPEN).is_none()
     }
@@ -181,7 +184,7 @@ impl RunState {
         }
     }
 
-    /// The result that an action gives for a position among its values; 0 without values.
+    /// The result of an action at a position among its values; 0 if the action has no values.
     pub fn value(&self, task: usize, level: u8, value: u8) -> i32 {
         let actor = self.cell.bodies[task].actor.as_ref();
         let running = actor.and_then(|actor| actor.runs(level));
@@ -206,8 +209,8 @@ impl RunState {
         }
     }
 
-    /// The time until the next event, at least a tick; `None` if none is to come. With symbolic times this is a tick: all ticks in
-    /// which nothing happens have passed before (`zones`).
+    /// The time until the next event, at least a tick; `None` if no event is to come. With symbolic times the result is
+    /// always one tick: `zones` has already let all ticks pass in which nothing happens.
     pub fn next_event(&self) -> Option<Ticks> {
         if self.cell.is_symbolic {
             return Some(Ticks(1));
@@ -216,7 +219,7 @@ impl RunState {
         (next <= LATEST).then_some(next)
     }
 
-    /// Whether an event is to come.
+    /// Whether any event is to come.
     fn goes_on(&self) -> bool {
         // With symbolic times, `events` asks which of them come in the next tick; this asks only whether they come.
         if self.cell.is_symbolic {
@@ -241,7 +244,7 @@ impl RunState {
         packets.chain(ends).chain(self.fixed_events())
     }
 
-    /// The times that may not pass without anything happening: until the bounds of packets, the most times of actions, and all events
+    /// The times that may not pass without an event: until the bounds of packets, the most times of actions, and all events
     /// that do not happen earlier.
     pub fn limits(&self) -> impl Iterator<Item = Ticks> {
         let packets = self.cell.in_flight.iter().filter(|carried| !self.waits(carried));
@@ -252,14 +255,14 @@ impl RunState {
         packets.map(|carried| self.left_of(carried)).chain(ends).chain(self.fixed_events())
     }
 
-    /// The times until all events to come that do not happen earlier than at their instant.
+    /// The times until all events to come that cannot happen earlier than at a fixed instant.
     fn fixed_events(&self) -> impl Iterator<Item = Ticks> {
         let cell_state = &self.cell;
         let up = || (0..cell_state.nodes.len()).filter(|&i| cell_state.nodes[i].up);
         let awake = || up().filter(|&i| !self.is_asleep(i));
         let nodes = awake().flat_map(|i| cell_state.nodes[i].node.times_left());
         let paused = up().filter(|&i| self.is_asleep(i)).flat_map(|i| self.events_asleep(i)).map(Ticks);
-        // A check fails when the last tick of its bound is over, hence one tick more.
+        // A check fails when the last tick of its bound is over, which is one tick later.
         let due = self.beside.due.iter().flatten().map(|&left| left + Ticks(1));
         let held_back = awake().filter_map(|i| self.next_begin(i));
         nodes.chain(paused).chain(due).chain(held_back)
@@ -276,7 +279,7 @@ impl RunState {
         Ticks(self.cell.links[usize::from(carried.link)].2.into()) - carried.age
     }
 
-    /// The actions of this task that may or must end some time. An action that is over on a paused node is no event.
+    /// The actions of this task that still may or must end. An action that is over on a paused node is no event.
     fn going(&self, task: usize) -> impl Iterator<Item = &Running> {
         let asleep = self.is_asleep(self.cell.node_state_of(task));
         let running = self.cell.bodies[task].actor.iter().flat_map(|actor| &actor.running);

@@ -18,15 +18,15 @@ pub(in crate::cell) struct Spread {
 /// The values that a node shows to a check, one for each term; `None` for a term without a value.
 pub(in crate::cell) type ShownValues = Vec<Option<i64>>;
 
-/// Shown values of each node: a combination of values that the check might have read.
+/// One combination of values that the nodes showed in this tick, and that the check might have read.
 pub(in crate::cell) type Mixture = Vec<(Term, Option<i64>)>;
 
-/// What the nodes of one check showed in this tick.
+/// What the nodes of one check have shown in this tick.
 #[derive(Clone, Debug, Default)]
 pub(in crate::cell) struct TickValues {
-    /// For each node, its other shown values since the tick began, sorted and each once.
+    /// For each node, the other values that it has shown since the tick began, sorted and without duplicates.
     pub earlier: Vec<Vec<ShownValues>>,
-    /// For each node, what it shows now. Not packed, because it follows from the rest of the state.
+    /// For each node, the values that it shows now. They are not packed, because they follow from the rest of the state.
     now: Vec<ShownValues>,
 }
 
@@ -65,7 +65,7 @@ impl RunState {
         }
     }
 
-    /// The shown values at the start: no node has shown anything else in this tick.
+    /// The shown values in the first state: no node has shown anything else in this tick.
     pub(in crate::cell) fn first_tick_values(cell_state: &CellState, spread: &[Spread]) -> Vec<TickValues> {
         let first = |spread: &Spread| TickValues {
             earlier: vec![Vec::new(); spread.nodes.len()],
@@ -141,7 +141,7 @@ fn broken_mixture(spread: &Spread, tick_values: &TickValues, holds: &[Term]) -> 
         if !eval(holds, look).is_ok_and(|value| value != 0) {
             return Some(seen);
         }
-        // Count up: the choices of the nodes are the digits of a number.
+        // Counts up to the next combination: the choices of the nodes are the digits of a number.
         let next = picked.iter_mut().zip(&choices).find_map(|(at, choices)| {
             *at = (*at + 1) % choices.len();
             (*at > 0).then_some(())

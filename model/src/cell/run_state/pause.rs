@@ -7,13 +7,14 @@
 //!                                                charged with its wait; then actions that ended meanwhile
 //! ```
 //!
-//! A pause begins right before a step of its node. An earlier start, back to the node's last step, looks the same to everybody
-//! else, and the latest start may last longest. The pause ends after any event of the cell, at the node's own next deadline or
-//! end of lease, or at its bound.
+//! A pause begins right before a step of its node. An earlier start, back to the node's last step, looks the same to all
+//! other nodes, and the latest start allows the longest pause. The pause ends after any event of the cell, at the node's
+//! own next deadline or end of lease, or at its bound.
 //!
-//! An action of a paused node goes on by itself. An action that began in the tick of the pause may also begin only after it:
-//! the process was stopped between the decision and the command. The lease of a paused task ends on time, because the robot's
-//! driver stops the action then (D149). From that instant the task does not act, although it does not know that yet.
+//! An action of a paused node goes on by itself. An action that began in the tick of the pause may also begin only after
+//! the pause, if the process was stopped between the decision and the command. The lease of a paused task ends on time,
+//! because the robot's driver stops the action then (D149). From that instant the task does not act, although the task does
+//! not know that yet.
 
 use super::{CellMove, RunState, bit, small};
 use crate::cell::plan::Pause;
@@ -33,7 +34,7 @@ pub(in crate::cell) struct Asleep {
 }
 
 impl CellState {
-    /// Ticks since the node's pause began; `None` if it is not paused.
+    /// Ticks since the node's pause began; `None` if the node is not paused.
     pub(in crate::cell) fn slept(&self, node: usize) -> Option<u32> {
         self.nodes[node].asleep
     }
@@ -49,7 +50,7 @@ impl RunState {
         self.beside.asleep[node].as_ref().is_some_and(|asleep| asleep.left == 0)
     }
 
-    /// The numbers of the unused pauses that may begin at a node. Of equal pauses only the first counts.
+    /// The numbers of the unused pauses that may begin at a node. Of several equal pauses only the first is listed.
     fn unused(&self, node: usize) -> impl Iterator<Item = u8> {
         let all = || self.faults.pause.iter().zip(&self.beside.paused);
         let unused = move |&(at, (pause, &left)): &(usize, (&Pause, &u8))| {
@@ -67,7 +68,7 @@ impl RunState {
         self.pauses_before(node, moves);
     }
 
-    /// Adds the pauses that hold back the actions that a node has just begun.
+    /// Adds the pauses that hold back actions which the node has just begun.
     fn pauses_before(&self, node: usize, moves: &mut Vec<CellMove>) {
         if !self.fresh(node).is_empty() {
             moves.extend(self.unused(node).map(|number| CellMove::PauseBefore(number, small(node))));
@@ -105,7 +106,7 @@ impl RunState {
         due.into_iter().chain(begins).any(|due| due <= ticks)
     }
 
-    /// The actions of a node that began in this tick.
+    /// The actions of a node that were begun in this tick.
     fn fresh(&self, node: usize) -> Vec<(u8, u8)> {
         let cell_state = &self.cell;
         let here = (0..cell_state.bodies.len()).filter(|&task| cell_state.node_state_of(task) == node);
@@ -120,7 +121,7 @@ impl RunState {
         actions.collect()
     }
 
-    /// Whether no tick has passed since an action began: its remaining times are those of its statement.
+    /// Whether no tick has passed since an action began: the action's remaining times still equal those of its statement.
     fn has_just_begun(&self, actor: &Actor, running: &Running) -> bool {
         let at = actor.host.script.position_at(running.level);
         match at.and_then(|at| actor.host.program.code.get(usize::from(at))) {
@@ -133,7 +134,7 @@ impl RunState {
         }
     }
 
-    /// Begins a pause that holds back these actions.
+    /// Begins a pause of a node that holds back these actions.
     pub fn fall_asleep(&mut self, number: u8, node: usize, held: Vec<(u8, u8)>) {
         let number = usize::from(number);
         self.beside.paused[number] = 0;
@@ -141,19 +142,20 @@ impl RunState {
         self.cell.nodes[node].asleep = Some(0);
     }
 
-    /// Begins a pause that holds back the actions that began in this tick.
+    /// Begins a pause of a node that holds back the actions that were begun in this tick.
     pub fn fall_asleep_before(&mut self, number: u8, node: usize) {
         let held = self.fresh(node);
         self.fall_asleep(number, node, held);
     }
 
-    /// Ends the pause of a node that crashes.
+    /// Ends the pause of a node, because the node crashes.
     pub fn forget_pause(&mut self, node: usize) {
         self.beside.asleep[node] = None;
         self.cell.nodes[node].asleep = None;
     }
 
-    /// Wakes a node. It counts the time first, and with it its leases and deadlines; waiting packets arrive by later moves.
+    /// Wakes a paused node. The node counts the time first, and with it its leases and deadlines; waiting packets arrive by
+    /// later moves.
     pub fn wake(&mut self, node: usize) -> Result<(), Violation> {
         let slept = self.cell.slept(node).unwrap_or(0);
         self.forget_pause(node);
@@ -177,8 +179,8 @@ impl RunState {
         if self.cell.nodes[node].node.times_left().any(|due| due <= ticks) {
             self.beside.acted |= bit(node);
         }
-        // With symbolic times, no zone is asked whether the symbol is zero, because letting no time pass
-        // changes nothing anyway.
+        // If no time passes, nothing changes. With symbolic times the condition is not evaluated, so that no zone is asked
+        // whether the symbol is zero.
         if self.cell.is_symbolic || !ticks.is_zero() {
             self.cell.pass(node, ticks)?;
         }
@@ -186,7 +188,7 @@ impl RunState {
         Ok(())
     }
 
-    /// Lets time pass for the actions of running and of paused nodes, except for actions that a pause holds back.
+    /// Lets time pass for the actions of all nodes, paused or not, except for actions that a pause holds back.
     pub fn act_on(&mut self, ticks: Ticks) {
         for task in 0..self.cell.bodies.len() {
             let node = self.cell.node_state_of(task);
@@ -202,7 +204,7 @@ impl RunState {
         }
     }
 
-    /// Whether an action has begun, and no pause holds it back.
+    /// Whether an action is really running: no pause holds back its beginning.
     pub fn has_begun(&self, task: usize, level: u8) -> bool {
         let asleep = self.beside.asleep[self.cell.node_state_of(task)].as_ref();
         asleep.is_none_or(|asleep| !asleep.held.contains(&(small(task), level)))
@@ -227,7 +229,8 @@ impl RunState {
         })
     }
 
-    /// The longest wait of a packet for a node. A woken node takes packets in the order in which they arrived.
+    /// The longest time that a packet has waited for a paused node. When the node wakes, it takes packets in the order in
+    /// which they arrived.
     pub fn longest_wait(&self, node: usize) -> Ticks {
         if self.faults.pause.is_empty() {
             return Ticks::ZERO;

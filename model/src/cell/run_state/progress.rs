@@ -6,7 +6,7 @@ use imrs_protocol::Signal;
 use imrs_protocol::script::ScriptInput;
 
 impl RunState {
-    /// Makes a move; returns whether it was progress, `None` if it panics.
+    /// Makes a move. Returns whether the move was progress; `None` if the move panics.
     pub fn progresses(&mut self, step: CellMove) -> Option<bool> {
         let mut before = std::mem::take(&mut self.before);
         before.take(self);
@@ -25,7 +25,7 @@ impl RunState {
 #[derive(Clone, Debug, Default)]
 pub(in crate::cell) struct Before {
     values: Vec<i64>,
-    /// For each task with a script: its position, where its values end, and its dead variables as a bit set.
+    /// For each task with a script: its position, where its values end in the list, and its dead variables as a bit set.
     tasks: Vec<(usize, usize, u64)>,
 }
 
@@ -40,8 +40,8 @@ impl Before {
         }
     }
 
-    /// Whether a variable that was live before the move, and is live after it, has another value now. A dead variable
-    /// does not count, because packing resets it.
+    /// Whether a variable that was live before the move, and is live after it, has another value after the move. A dead
+    /// variable does not count, because packing resets it.
     fn differs(&self, run_state: &RunState) -> bool {
         let mut from = 0;
         self.tasks.iter().any(|&(task, end, dead)| {

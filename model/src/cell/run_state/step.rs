@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 pub enum CellMove {
     /// Time passes until the next event.
     Pass,
-    /// Time passes; the clock of this node counts one tick more (`true`) or less.
+    /// Time passes until the next event, and the clock of this node counts one tick more (`true`) or less.
     Drift(u8, bool),
-    /// A packet arrives.
+    /// A packet arrives at the end of its link.
     Deliver(u8),
-    /// A packet is lost.
+    /// A packet is lost on its link.
     Lose(u8),
     /// A packet arrives, and a copy of it stays on the link.
     Duplicate(u8),
@@ -19,9 +19,9 @@ pub enum CellMove {
     Cut(u8, u8),
     /// A packet is lost because its link is still cut.
     Vanish(u8),
-    /// The declared cut of this number ends, and the packet arrives.
+    /// The declared cut of a link ends, and a packet arrives over that link: packet, cut.
     Mend(u8, u8),
-    /// An action ends: task, activation, whether it succeeds, and which of its values it gives.
+    /// An action ends: task, activation, whether it succeeds, and which of its results it gives.
     Acted(u8, u8, bool, u8),
     /// An action does not end yet: task and activation.
     GoOn(u8, u8),
@@ -32,7 +32,7 @@ pub enum CellMove {
     Stay(u8),
     /// A task of this node takes the input at this position.
     Take(u8, u8),
-    /// The next script of this node begins that is to begin in this tick.
+    /// On this node, the next of the scripts that are to begin in this tick begins.
     Begin(u8),
     /// A script makes this choice.
     Choose(u8, u16),
@@ -42,16 +42,17 @@ pub enum CellMove {
     Restart(u8),
     /// The declared pause of this number begins at this node, before the node's next step.
     Pause(u8, u8),
-    /// Pauses the node in the same way, but actions that it began in this tick begin only when it wakes.
+    /// As [`Pause`](Self::Pause), but actions that the node began in this tick begin only when the node wakes.
     PauseBefore(u8, u8),
-    /// Time passes as with [`Pass`](Self::Pass), and the declared pause of this number begins before this node notices.
+    /// Time passes as with [`Pass`](Self::Pass), and the declared pause of this number begins before this node notices the
+    /// time.
     PauseNext(u8, u8),
     /// A node wakes from its pause.
     Wake(u8),
 }
 
 impl CellMove {
-    /// Whether this is a fault.
+    /// Whether this move is a fault.
     #[must_use]
     pub const fn is_fault(self) -> bool {
         match self {
@@ -80,7 +81,7 @@ impl CellMove {
         }
     }
 
-    /// The packet that this delivers or drops.
+    /// The packet that this move delivers or drops.
     #[must_use]
     pub const fn packet(self) -> Option<u8> {
         match self {

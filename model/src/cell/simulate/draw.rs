@@ -1,4 +1,5 @@
-//! Draws the faults of a seed: within what the cell declares, at packets, actions and times that a run without faults has.
+//! Draws the faults of a seed: within the faults that the cell declares, at packets, actions and times that a run without
+//! faults has.
 
 use super::driver::random;
 use super::run::Run;
@@ -8,15 +9,15 @@ use imrs_protocol::{NodeId, TaskId};
 
 /// One run in this many has no faults, although the cell declares some.
 const PLAIN: u8 = 8;
-/// Powers of two from which durations are drawn that the plain run does not bound.
+/// The number of powers of two from which a duration is drawn, if the plain run does not bound it.
 const MAGNITUDES: u32 = 16;
 
-/// Counts of the plain run, which has no faults and only choices 0.
+/// What the plain run contains: the run that has no faults, and in which every choice is 0.
 #[derive(Debug)]
 pub(super) struct Census {
-    /// Directed links on which packets arrive, with the number of packets.
+    /// The directed links on which packets arrive, each with the number of its packets.
     lines: Vec<((NodeId, NodeId), u32)>,
-    /// Tasks whose actions end, each with the number of its actions.
+    /// The tasks whose actions end, each with the number of its actions.
     tasks: Vec<(TaskId, u32)>,
     ticks: u64,
 }
@@ -64,7 +65,7 @@ impl Census {
         let line = |rng: &mut fastrand::Rng| self.lines.get(rng.usize(..self.lines.len().max(1))).copied();
         let mut lost: Option<((NodeId, NodeId), u32)> = None;
         kind(1, within.loss.into(), &mut |rng, _| {
-            // Retransmissions are often lost, too.
+            // The copies that are sent again after a loss are often lost, too.
             let again = lost.filter(|_| rng.bool());
             let (link, nth) = match again {
                 Some((link, nth)) => (link, nth.saturating_add(1)),
@@ -98,7 +99,7 @@ impl Census {
         });
         let mut slow: Option<(NodeId, u64, bool)> = None;
         kind(7, within.drift.into(), &mut |rng, _| {
-            // A wrong clock often stays wrong, and matters most around another fault.
+            // A clock that is wrong often stays wrong, and the drift matters most around another fault.
             let (node, at, more) = slow.filter(|_| rng.u8(..4) > 0).unwrap_or_else(|| {
                 let at = instants.first().copied().filter(|_| rng.bool());
                 let at = at.unwrap_or_else(|| instant(rng, self.ticks));
@@ -121,7 +122,7 @@ impl Census {
     }
 }
 
-/// A number from 1 to `most`: half of them uniform, half of them rather small.
+/// A number from 1 to `most`: half of the numbers are uniform, half rather small.
 fn count(rng: &mut fastrand::Rng, most: u32) -> u32 {
     let any = rng.u32(1..=most.max(1));
     let power = rng.u32(..=most.max(1).ilog2());
@@ -129,7 +130,7 @@ fn count(rng: &mut fastrand::Rng, most: u32) -> u32 {
     if rng.bool() { any } else { early }
 }
 
-/// An instant up to `most`: half of them uniform, half of them rather early.
+/// An instant up to `most`: half of the instants are uniform, half rather early.
 fn instant(rng: &mut fastrand::Rng, most: u64) -> u64 {
     let any = rng.u64(..=most);
     let power = rng.u32(..=most.max(1).ilog2());
@@ -137,7 +138,7 @@ fn instant(rng: &mut fastrand::Rng, most: u64) -> u64 {
     if rng.bool() { any } else { early }
 }
 
-/// A number of ticks, from 1, of any magnitude.
+/// A number of ticks, at least 1, of any magnitude.
 fn magnitude(rng: &mut fastrand::Rng) -> u64 {
     let power = rng.u32(..MAGNITUDES);
     rng.u64(1 << power..2 << power)

@@ -1,4 +1,4 @@
-//! Decides the next move of a run: a named fault if it is due, otherwise a choice.
+//! Decides the next move of a random run: a fault of the schedule if one is due, otherwise a choice.
 
 mod who;
 
@@ -8,16 +8,16 @@ use crate::cell_state::script::Running;
 use imrs_protocol::{NodeId, TaskId};
 use who::{Who, is_of_a_turn, who};
 
-/// Where a run takes its choices from.
+/// Where a run gets its choices.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Source<'a> {
     /// Random numbers, the same for the same seed.
     Seed(u64),
-    /// A tape.
+    /// A tape with the choices of an earlier run.
     Tape(&'a Tape),
 }
 
-/// How a number is drawn below a limit.
+/// How a number below a limit is drawn.
 #[derive(Clone, Copy)]
 enum Spread {
     /// Each alternative has the same chance.
@@ -33,34 +33,34 @@ struct Choices {
     made: Vec<u32>,
 }
 
-/// The end that was chosen for an action.
+/// The end that was chosen for an action: when the action ends.
 struct Chosen {
     task: u8,
     level: u8,
     action: u16,
     /// The latest end of the action. It distinguishes two actions that follow each other in one activation.
     latest: u64,
-    /// How many times an action without an upper bound still goes on.
+    /// How many more times an action without an upper bound goes on.
     left: u32,
 }
 
 impl Chosen {
-    /// Whether the end was chosen for this action of an activation.
+    /// Whether this end was chosen for the action that this activation runs now.
     fn is_of(&self, run_state: &RunState, (task, level): (u8, u8), running: &Running) -> bool {
         (self.task, self.level, self.action, self.latest)
             == (task, level, running.action, latest(run_state, running))
     }
 }
 
-/// The latest end of an action.
+/// The latest instant at which an action may end.
 fn latest(run_state: &RunState, running: &Running) -> u64 {
     if running.most == Running::FOREVER { u64::MAX } else { run_state.passed + running.most.0 }
 }
 
-/// A directed link.
+/// A directed link, with its packets.
 #[derive(Clone, Copy, Default)]
 struct Line {
-    /// Number of packets that have arrived at its end.
+    /// The number of packets that have arrived over the link.
     arrived: u32,
     /// The number of the packet for which an arrival was chosen last, and the age at which it arrives.
     chosen: Option<(u32, u32)>,
@@ -69,14 +69,14 @@ struct Line {
 /// Decides the moves of one run.
 pub(super) struct Driver<'a> {
     source: Source<'a>,
-    /// Sorted in the order in which the budgets number them.
+    /// The faults of the schedule, in the order in which the budgets number them.
     faults: Vec<Fault>,
     happened: Vec<bool>,
-    /// The choices of tasks, then of links, then of nodes.
+    /// The choices of each chooser: first the tasks, then the links, then the nodes.
     choices: Vec<Choices>,
     tasks: usize,
     lines: Vec<Line>,
-    /// For each task the number of actions that have ended.
+    /// For each task, the number of its actions that have ended.
     ended: Vec<u32>,
     actions: Vec<Chosen>,
     /// For each node that is down, the instant from which it may restart.
@@ -112,18 +112,18 @@ impl<'a> Driver<'a> {
         }
     }
 
-    /// The choices of the run.
+    /// The choices that the run has made so far.
     pub fn tape(&self) -> Tape {
         let made = self.choices.iter().filter(|choices| !choices.made.is_empty());
         made.map(|choices| (choices.who, choices.made.clone())).collect()
     }
 
-    /// For each directed link the number of packets that arrived, for each task the number of actions that ended.
+    /// For each directed link, the number of packets that arrived; for each task, the number of actions that ended.
     pub fn counts(&self) -> (Vec<u32>, Vec<u32>) {
         (self.lines.iter().map(|line| line.arrived).collect(), self.ended.clone())
     }
 
-    /// For each fault, in the order of [`in_order`], whether it happened.
+    /// For each fault of the schedule, in the order of [`in_order`], whether it happened.
     pub fn happened(self) -> Vec<bool> {
         self.happened
     }
@@ -207,7 +207,7 @@ impl<'a> Driver<'a> {
     }
 
     /// Whether a move may come while inputs wait in a node: an action whose end was chosen for now, or a packet that has no
-    /// fault or has another packet behind it. For all other actions and packets the choosers decide when no input waits.
+    /// fault or has another packet behind it. The choosers decide about all others when no input waits.
     fn comes_now(&self, run_state: &RunState, who: Who) -> bool {
         match who {
             Who::Input(_) => true,
@@ -227,7 +227,7 @@ impl<'a> Driver<'a> {
         }
     }
 
-    /// Whether a fault is named for the next packet of a link at its bound: the packet is lost, doubled or cut off.
+    /// Whether the schedule has a fault for a link's next packet at its bound: the packet is lost, doubled or cut off.
     fn is_named(&self, run_state: &RunState, link: usize) -> bool {
         let (from, to, _) = run_state.cell.links[link];
         let next = self.lines[link].arrived + 1;
@@ -238,7 +238,7 @@ impl<'a> Driver<'a> {
         self.named(is).is_some() || self.cut(run_state, link).is_some()
     }
 
-    /// The move that ends an action: its named failure, or one of its values by choice.
+    /// The move that ends an action: a failure that the schedule names, or one of the action's results by choice.
     fn ends(&mut self, moves: &[CellMove], (task, level): (u8, u8)) -> Option<CellMove> {
         let at = usize::from(task);
         let next = self.ended[at] + 1;
@@ -255,7 +255,7 @@ impl<'a> Driver<'a> {
         moves.iter().filter(ends).nth(value as usize).copied()
     }
 
-    /// The move by which an action that may end now goes on; `None` if it ends.
+    /// The move by which an action that may end now goes on; `None` if the action ends.
     fn goes_on(
         &mut self,
         run_state: &RunState,
@@ -273,7 +273,7 @@ impl<'a> Driver<'a> {
             return Some(CellMove::GoOn(task, level));
         }
         self.actions.retain(|chosen| (chosen.task, chosen.level) != (task, level));
-        // The action may end now, or after whole steps of the model tick, counted back from its most time.
+        // The action may end now, or after whole steps of the model tick, counted back from the action's most time.
         let step = run_state.plan.step.max(1);
         let most = u32::try_from(running.most.0).unwrap_or(u32::MAX);
         let first = most - (most.saturating_sub(1) / step) * step;
@@ -294,7 +294,7 @@ impl<'a> Driver<'a> {
         }
     }
 
-    /// The move by which a packet that may arrive now stays on its link; `None` if it arrives.
+    /// The move by which a packet that may arrive now stays on its link; `None` if the packet arrives.
     fn stays(&mut self, run_state: &RunState, moves: &[CellMove], link: usize) -> Option<CellMove> {
         let stays = CellMove::Stay(u8::try_from(link).ok()?);
         let first = run_state.cell.in_flight.iter().find(|carried| usize::from(carried.link) == link)?;
@@ -305,7 +305,7 @@ impl<'a> Driver<'a> {
         (self.is_named(run_state, link) || age < self.arrives(link, (age, bound.into()))).then_some(stays)
     }
 
-    /// The move of the first packet of a link: it arrives, or a fault happens to it.
+    /// The move for the first packet of a link: the packet arrives, or a fault happens to it.
     fn comes(&mut self, run_state: &RunState, moves: &[CellMove], link: usize) -> Option<CellMove> {
         let cell_state = &run_state.cell;
         let first = cell_state.in_flight.iter().position(|carried| usize::from(carried.link) == link)?;
@@ -338,7 +338,7 @@ impl<'a> Driver<'a> {
         moves.iter().copied().find(arrives)
     }
 
-    /// The age at which a packet that may arrive before the link's bound arrives.
+    /// The age at which a packet arrives that may arrive before the link's bound.
     fn arrives(&mut self, link: usize, (age, bound): (u32, u32)) -> u32 {
         let nth = self.lines[link].arrived + 1;
         match self.lines[link].chosen {
@@ -353,7 +353,7 @@ impl<'a> Driver<'a> {
         }
     }
 
-    /// What cuts do to the packet at the end of a link.
+    /// What the cuts of the schedule do to the packet at the end of a link.
     fn cut(&self, run_state: &RunState, link: usize) -> Option<Cut> {
         let cuts = (0_u8..).zip(self.faults.iter().enumerate().filter_map(|(fault, of)| match *of {
             Fault::Cut { link, at, .. } => Some((fault, link, at)),
@@ -361,7 +361,7 @@ impl<'a> Driver<'a> {
         }));
         let here = || cuts.clone().filter(|(_, (_, of, _))| *of == link / 2);
         let state = |number: u8| run_state.beside.cuts.get(usize::from(number)).copied();
-        // No other cut of a link begins while one is open.
+        // While one cut of a link is open, no other cut of this link begins.
         if let Some((_, (fault, ..))) = here().find(|(number, _)| state(*number) == Some(OPEN)) {
             let over = self.cuts[fault].is_some_and(|over| over <= run_state.passed);
             return (!over).then_some(Cut::Lasts);
@@ -370,13 +370,13 @@ impl<'a> Driver<'a> {
         (at <= run_state.passed).then_some(Cut::Begins(number, fault))
     }
 
-    /// The first fault that has not happened and for which `is` holds.
+    /// The first fault of the schedule that has not happened and for which `is` holds.
     fn named(&self, is: impl Fn(&Fault) -> bool) -> Option<usize> {
         let mut all = self.faults.iter().zip(&self.happened);
         all.position(|(fault, happened)| !happened && is(fault))
     }
 
-    /// The fault of this declared crash: its position, its instant, and how long the node stays down.
+    /// The fault of the schedule for this declared crash: its position, its instant, and how long the node stays down.
     fn stop(&self, number: u8) -> Option<(usize, u64, Option<u64>)> {
         let stops = self.faults.iter().enumerate().filter_map(|(fault, of)| match *of {
             Fault::Stop { at, restart, .. } => Some((fault, at, restart)),
@@ -393,7 +393,7 @@ impl<'a> Driver<'a> {
         self.named(is)
     }
 
-    /// The fault that is this pause, if it is due.
+    /// The fault of the schedule for this pause, if it is due.
     fn pause(&self, step: CellMove, now: u64) -> Option<usize> {
         let (number, before) = match step {
             CellMove::Pause(number, _) | CellMove::PauseNext(number, _) => (number, false),
@@ -412,7 +412,7 @@ impl<'a> Driver<'a> {
         self.restarts[usize::from(node)].is_some_and(|due| due <= now)
     }
 
-    /// Updates the counts and the faults that happened, after a move.
+    /// Takes note of a move: updates the counts, and which faults happened.
     fn note(&mut self, run_state: &RunState, step: CellMove) {
         let line =
             |i: u8| run_state.cell.in_flight.get(usize::from(i)).map(|carried| usize::from(carried.link));
@@ -471,7 +471,7 @@ impl<'a> Driver<'a> {
         }
     }
 
-    /// Makes a choice below `limit`. A single alternative takes no choice.
+    /// Makes a choice below `limit`. If there is only one alternative, no number of the tape is used.
     fn draw(&mut self, chooser: usize, limit: usize, spread: Spread) -> u32 {
         let most = u32::try_from(limit.saturating_sub(1)).unwrap_or(u32::MAX - 1);
         if most == 0 {
@@ -495,12 +495,12 @@ impl<'a> Driver<'a> {
     }
 }
 
-/// An action without an upper bound goes on fewer times than this, by choice.
+/// By choice, an action without an upper bound goes on fewer times than this.
 const ENDLESS: u32 = 4;
-/// The faults are drawn from the streams below this number.
+/// The random streams below this number are for drawing faults, the streams from it on for choosers.
 pub(super) const FIRST_OF_CHOOSERS: u64 = 64;
 
-/// The random stream of a seed with this number. Draws from one stream do not change the others.
+/// The random stream with this number that belongs to a seed. Draws from one stream do not change the other streams.
 pub(super) fn random(seed: u64, stream: u64) -> fastrand::Rng {
     // Each seed is the first number of another generator, so that neighbouring seeds and streams share no bits.
     let mut of_seed = fastrand::Rng::with_seed(seed);
@@ -510,8 +510,8 @@ pub(super) fn random(seed: u64, stream: u64) -> fastrand::Rng {
 
 /// What a cut does to the packet that is about to arrive.
 enum Cut {
-    /// The cut of this number begins with this packet, by the fault at this position.
+    /// The cut with this number begins with this packet, because of the fault at this position.
     Begins(u8, usize),
-    /// The cut is open, and this packet is lost, too.
+    /// A cut is open, so this packet is lost, too.
     Lasts,
 }

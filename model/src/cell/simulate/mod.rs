@@ -42,29 +42,29 @@ use shrink::{Shrinker, moves_to};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 
-/// Runs of one thread between two reports of the progress.
+/// The number of runs of one thread between two reports of the progress.
 const BATCH: u64 = 64;
 
-/// The result of some runs.
+/// The result of random runs.
 #[derive(Debug, Default)]
 pub struct Simulated {
-    /// Complete runs.
+    /// The number of complete runs.
     pub runs: u64,
-    /// Runs with faults.
+    /// The number of runs with faults.
     pub with_faults: u64,
-    /// Moves of all runs.
+    /// The number of moves of all runs.
     pub steps: u64,
-    /// Ticks of all runs.
+    /// The number of ticks of all runs.
     pub ticks: u64,
-    /// Number of runs for each end, in the order of [`Ended`].
+    /// The number of runs for each way to end, in the order of [`Ended`].
     pub ended: [u64; 4],
-    /// Each finding once, in the order of the seeds.
+    /// Each different finding once, in the order of the seeds.
     pub found: Vec<Found>,
-    /// For each task the number of statements reached, and of all its statements.
+    /// For each task, the number of its statements that were reached, and of all its statements.
     pub statements: Vec<(u32, u32)>,
-    /// Statements that no run reached: task and operation.
+    /// The statements that no run reached: task and operation.
     pub not_reached: Vec<(TaskId, Address)>,
-    /// Given faults that happened in no run.
+    /// The given faults that happened in no run.
     pub idle: Vec<Fault>,
     /// Whether the runs were stopped before their end.
     pub interrupted: bool,
@@ -73,21 +73,21 @@ pub struct Simulated {
 /// A finding, and the schedule that shows it.
 #[derive(Debug)]
 pub struct Found {
-    /// The first seed whose run shows it; none for a given schedule.
+    /// The first seed whose run shows the finding; `None` for a given schedule.
     pub seed: Option<u64>,
-    /// The finding's number, from 1, among the findings of that seed's run, or of the given schedule's.
+    /// The finding's number, from 1, among the findings of that seed's run, or among those of the given schedule.
     pub number: usize,
-    /// Its number among the findings of the run of `schedule`.
+    /// The finding's number among the findings of the run of `schedule`.
     pub number_of_schedule: usize,
-    /// Number of runs that show it.
+    /// The number of runs that show the finding.
     pub runs: u64,
-    /// A schedule that shows it.
+    /// A schedule that shows the finding.
     pub schedule: Schedule,
-    /// What the schedule shows. Its moves belong to a plan whose only hypothesis is `faults`.
+    /// The finding that the schedule shows. Its moves belong to a plan whose only fault hypothesis is `faults`.
     pub finding: Finding,
     /// The budgets of the schedule's faults.
     pub faults: CellFaults,
-    /// The size of the schedule before shrinking; none if it was not shrunk.
+    /// The size of the schedule before shrinking; `None` if the schedule was not shrunk.
     pub shrunk: Option<Shrunk>,
 }
 
@@ -100,11 +100,11 @@ pub struct Shrunk {
     pub choices: usize,
     /// The number of moves from the start to the finding.
     pub moves: usize,
-    /// Whether shrinking came to its end. False: it was stopped, or took too many steps.
+    /// Whether shrinking came to its end. If not, it was stopped, or took too many steps.
     pub whole: bool,
 }
 
-/// The run of one seed.
+/// The result of the run of one seed.
 struct Ran {
     seed: u64,
     steps: u64,
@@ -112,16 +112,16 @@ struct Ran {
     ended: Ended,
     with_faults: bool,
     reached: Reached,
-    /// What the run shows, and after how many moves.
+    /// The findings of the run, each with the number of moves to it.
     shown: Vec<(usize, Shown)>,
     /// The faults of the run, and its choices if the run shows a finding.
     schedule: Schedule,
     happened: Vec<bool>,
 }
 
-/// A finding of several runs, at one task or at several with the same statements.
+/// A finding that several runs show, at one task or at several tasks with the same statements.
 struct Group {
-    /// The finding as the first run shows it, and the number of moves to it.
+    /// The finding as the first run shows it. The next field is the number of moves to the finding.
     shown: Shown,
     moves: usize,
     /// The other tasks that show the finding.
@@ -138,7 +138,7 @@ struct Group {
 #[derive(Debug)]
 pub struct Simulator {
     plan: Arc<CellPlan>,
-    /// The most steps of a run.
+    /// The greatest number of steps of a run.
     steps: u32,
     census: Census,
     jobs: usize,
@@ -161,15 +161,15 @@ impl Simulator {
         Ok(Self { census, steps, jobs: plan.jobs.max(1), plan, stop: Arc::default() })
     }
 
-    /// Sets the flag that stops runs and shrinking at their next step. The answer has what was found until then.
+    /// Sets the flag that stops runs and shrinking at their next step. The result then has what was found so far.
     #[must_use]
     pub fn stopped_by(self, stop: &Arc<AtomicBool>) -> Self {
         Self { stop: Arc::clone(stop), ..self }
     }
 
-    /// Runs `count` seeds from the first one on, with these faults or with those that each seed draws, and shrinks what they
-    /// show. Before each batch `progress` gets the number of runs and of findings. The answer is the same for any number of
-    /// threads.
+    /// Runs `count` seeds from the first one on, with these faults or with those that each seed draws, and shrinks the
+    /// schedules of their findings. Before each batch `progress` gets the number of runs and of findings. The result is the
+    /// same for any number of threads.
     pub fn seeds(
         &self,
         (first, count): (u64, u64),
@@ -231,7 +231,7 @@ impl Simulator {
         }
     }
 
-    /// Whether two results are one finding.
+    /// Whether two findings count as the same finding.
     fn is_one(&self, one: &Shown, other: &Shown) -> bool {
         one.is_same(other) || shows_alike(&self.plan, one, other)
     }
@@ -244,12 +244,12 @@ impl Simulator {
                 && let Some(place) = done.get(at)
             {
                 let Some(ran) = self.seed(first.wrapping_add(at as u64), faults) else { break };
-                // Only one thread takes this place.
+                // Only one thread takes this place in the list.
                 let _ = place.set(ran);
             }
         };
         side_by_side((0..self.jobs as u64).take(count as usize), work);
-        // If a run was stopped, the runs of later seeds are dropped, so that the answer covers seeds without a gap.
+        // If a run was stopped, the runs of later seeds are dropped, so that the result covers seeds without a gap.
         done.into_iter().map_while(OnceLock::into_inner).collect()
     }
 
@@ -258,7 +258,7 @@ impl Simulator {
         faults.map_or_else(|| self.census.draw(&self.plan, seed), <[Fault]>::to_vec)
     }
 
-    /// The run of a seed; none if it was stopped.
+    /// The run of a seed; `None` if the run was stopped.
     fn seed(&self, seed: u64, faults: Option<&[Fault]>) -> Option<Ran> {
         let faults = self.faults(seed, faults);
         let run = run(&self.plan, &faults, Source::Seed(seed), self.until_stopped());
@@ -283,7 +283,7 @@ impl Simulator {
         Limit { stop: Some(&self.stop), ..self.whole() }
     }
 
-    /// The limit of a run that must not be stopped.
+    /// A limit without a stop flag, for a run that must not be stopped.
     const fn whole(&self) -> Limit<'_> {
         Limit { steps: self.steps, stop: None }
     }
@@ -312,13 +312,13 @@ impl Simulator {
         all
     }
 
-    /// The run of a seed as a sequence chart, and how it ended.
+    /// A sequence chart of the run of a seed, and how the run ended.
     #[must_use]
     pub fn chart_of_seed(&self, seed: u64, faults: Option<&[Fault]>) -> String {
         self.chart(&run(&self.plan, &self.faults(seed, faults), Source::Seed(seed), self.whole()))
     }
 
-    /// The run of a schedule as a sequence chart, and how it ended.
+    /// A sequence chart of the run of a schedule, and how the run ended.
     #[must_use]
     pub fn chart_of(&self, schedule: &Schedule) -> String {
         self.chart(&run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), self.whole()))
@@ -336,7 +336,7 @@ impl Simulator {
     }
 
     fn shrink(&self, Group { shown, moves, schedule, .. }: &Group) -> Found {
-        // Choices after the finding do not matter.
+        // Choices after the finding do not matter, so the run may end at the finding.
         let (moves, steps) = (*moves, u32::try_from(*moves).unwrap_or(u32::MAX));
         let limit = Limit { steps, stop: None };
         let mut first = run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), limit);
@@ -365,7 +365,7 @@ impl Simulator {
 
     fn found(&self, run: &Run, shown: &Shown, schedule: Schedule, shrunk: Option<Shrunk>) -> Found {
         let end = moves_to(run, shown).unwrap_or(run.moves.len());
-        // Take the cause from this run, because it holds the values of this run.
+        // The cause is taken from this run, because it holds the values of this run.
         let shown = run.shown.iter().find(|(_, known)| known.is_same(shown)).map_or(shown, |(_, own)| own);
         let moves = run.moves[..end].to_vec();
         let finding = story::finding(&self.plan, (run.phase, 0), &run.faults, moves, shown);
@@ -388,7 +388,7 @@ impl Simulator {
 }
 
 impl Group {
-    /// Adds to the finding of one run the tasks, the seed and the number of all its runs.
+    /// Adds to the finding of one run the tasks, the seed and the number of all runs that show the finding.
     fn of_all(&self, mut found: Found) -> Found {
         found.finding.also.clone_from(&self.also);
         Found { runs: self.runs, seed: self.seed, number: self.number, ..found }
@@ -406,7 +406,7 @@ impl Simulated {
 }
 
 impl Found {
-    /// Whether the finding takes a fault.
+    /// Whether a fault of the schedule is needed for the finding.
     #[must_use]
     pub fn with_faults(&self) -> bool {
         self.finding.phase == Phase::Faults

@@ -17,43 +17,43 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub enum Ended {
     /// The run ended because nothing can happen any more.
     Over,
-    /// At a finding that ends a run.
+    /// The run ended at a finding that ends a run.
     Found,
-    /// At the limit of its steps.
+    /// The run ended at the limit of its steps.
     Steps,
-    /// More packets were in flight than moves have numbers for.
+    /// The run ended because more packets were in flight than moves have numbers for.
     Crowded,
 }
 
-/// The most packets in flight: moves number them in a byte.
+/// The greatest number of packets in flight: moves number them in a byte.
 const MOST_PACKETS: usize = 255;
 
 /// The result of a run.
 pub(super) struct Run {
     pub phase: Phase,
-    /// The budgets of its faults.
+    /// The budgets of the run's faults.
     pub faults: CellFaults,
     pub moves: Vec<CellMove>,
     pub ended: Ended,
     /// Whether the run was stopped before its end.
     pub stopped: bool,
-    /// Each finding once, with the number of moves before it.
+    /// Each different finding once, with the number of moves before it.
     pub shown: Vec<(usize, Shown)>,
     pub ticks: u64,
     pub reached: Reached,
     pub tape: Tape,
     /// For each fault, in the order of [`in_order`](super::schedule::in_order), whether it happened.
     pub happened: Vec<bool>,
-    /// For each directed link the number of packets that arrived, for each task the number of actions that ended.
+    /// For each directed link, the number of packets that arrived; for each task, the number of actions that ended.
     pub counts: (Vec<u32>, Vec<u32>),
 }
 
 /// The limits of a run.
 #[derive(Clone, Copy)]
 pub(super) struct Limit<'a> {
-    /// The most steps.
+    /// The greatest number of steps.
     pub steps: u32,
-    /// The flag that stops it.
+    /// The flag that stops the run.
     pub stop: Option<&'a AtomicBool>,
 }
 
@@ -63,7 +63,7 @@ impl Limit<'_> {
     }
 }
 
-/// Runs a cell. Without faults, a request that ends badly is a finding, too.
+/// Runs a cell. If `faults` is empty, a request that ends badly is a finding, too.
 pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, limit: Limit<'_>) -> Run {
     let phase = if faults.is_empty() { Phase::FaultFree } else { Phase::Faults };
     let budgets = super::schedule::budgets(&super::schedule::in_order(faults));
@@ -89,7 +89,8 @@ pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, li
             last |= one.last;
             if !judged.iter().any(|known| known.is_same(&one)) {
                 judged.push(one.clone());
-                // Decide between time_out and starvation before shrinking: a shorter run may show the other one.
+                // Whether the finding is a time_out or starvation is decided before shrinking, because a shorter run may
+                // show the other one.
                 shown.push((taken.len(), decided(plan, &taken, one)));
             }
         }

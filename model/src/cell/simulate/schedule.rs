@@ -1,4 +1,4 @@
-//! A schedule as data: the faults one by one, and the choices that were made.
+//! A schedule as data: its faults one by one, and its choices.
 
 use crate::cell::{CellFaults, Pause};
 use imrs_protocol::{CellTable, NodeId, TaskId};
@@ -10,95 +10,96 @@ use std::collections::BTreeMap;
 pub enum Fault {
     /// This packet of a link, in this direction, is lost.
     Lose {
-        /// From this node to that one.
+        /// The link, by its direction: from the first node to the second.
         link: (NodeId, NodeId),
         /// The number of the packet on its link.
         nth: u32,
     },
     /// This packet arrives twice; its copy counts as the next packet.
     Copy {
-        /// From this node to that one.
+        /// The link, by its direction: from the first node to the second.
         link: (NodeId, NodeId),
         /// The number of the packet on its link.
         nth: u32,
     },
-    /// The first packet from this one on that has another packet behind it on its link is overtaken by that
-    /// packet.
+    /// A packet is overtaken by the packet behind it: this packet, or the first later one on the link that has another
+    /// packet behind it.
     Overtake {
-        /// From this node to that one.
+        /// The link, by its direction: from the first node to the second.
         link: (NodeId, NodeId),
         /// The number of the packet on its link.
         nth: u32,
     },
     /// This action of a task fails.
     Fail {
-        /// The task.
+        /// The task whose action fails.
         task: TaskId,
         /// The number of the action among all actions of the task.
         nth: u32,
     },
     /// A node crashes right after one of its steps.
     Stop {
-        /// The node.
+        /// The node that crashes.
         node: NodeId,
-        /// Not before this instant.
+        /// The crash does not happen before this instant.
         at: u64,
-        /// Ticks until the node may restart. It then restarts when the next packet arrives for it, or when nothing else
-        /// happens. `None`: it stays down.
+        /// Ticks until the node may restart. The node then restarts when the next packet arrives for it, or when nothing
+        /// else happens. `None`: the node stays down.
         restart: Option<u64>,
     },
     /// A link loses all packets, in both directions.
     Cut {
-        /// Position in [`Cell::links`](imrs_protocol::Cell).
+        /// The position of the link in [`Cell::links`](imrs_protocol::Cell).
         link: usize,
-        /// From the first packet at or after this instant on.
+        /// The cut begins with the first packet at or after this instant.
         at: u64,
-        /// Ticks until it ends. `None`: it never ends.
+        /// Ticks until the cut ends. `None`: it never ends.
         lasts: Option<u64>,
     },
     /// A node pauses before its next step.
     Pause {
-        /// The node.
+        /// The node that pauses.
         node: NodeId,
-        /// Not before this instant.
+        /// The pause does not begin before this instant.
         at: u64,
-        /// Ticks that it lasts.
+        /// How many ticks the pause lasts.
         lasts: u32,
-        /// Whether it pauses right after it began an action, which then begins only when the node wakes.
+        /// Whether the node pauses right after it began an action, which then begins only when the node wakes.
         before_action: bool,
     },
     /// A node's clock counts a tick twice, or leaves one out.
     Drift {
-        /// The node.
+        /// The node whose clock drifts.
         node: NodeId,
-        /// Not before this instant.
+        /// The drift does not happen before this instant.
         at: u64,
-        /// Whether the node's clock counts one tick twice; else it leaves one out.
+        /// Whether the node's clock counts one tick twice. If not, it leaves one tick out.
         more: bool,
     },
 }
 
-/// The owner of a choice. Each owner has its own tape, so that leaving out a fault does not change the choices of the others.
+/// The chooser to which a choice belongs. Each chooser has its own list of choices, so that leaving out a fault does not
+/// change the choices of the other choosers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Chooser {
     /// A task: how long its actions take, which results they give, and what its script chooses.
     Task(TaskId),
-    /// A directed link, from this node to that one: how early its packets arrive.
+    /// A directed link, from the first node to the second: how early its packets arrive.
     Link(NodeId, NodeId),
     /// A node: which of several events in one tick comes first.
     Node(NodeId),
 }
 
-/// The choices of a run, each below the number of alternatives at that point. Choices past the end are 0: an action takes its
-/// least time and gives its first value, a packet takes its link's bound.
+/// The choices of a run, each below the number of alternatives at that point. Choices past the end of a list are 0: an
+/// action takes its least time and gives its first value, a packet takes its link's bound.
 pub type Tape = BTreeMap<Chooser, Vec<u32>>;
 
 /// One run of a cell. The same schedule and the same cell give the same run.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Schedule {
-    /// The faults.
+    /// The faults of the run.
     pub faults: Vec<Fault>,
-    /// The choices.
+    /// The choices of the run.
     pub tape: Tape,
 }
 
@@ -110,7 +111,7 @@ impl Schedule {
     }
 }
 
-/// The instant of a fault that has one.
+/// The instant of a fault; 0 for a fault without an instant.
 const fn instant(fault: &Fault) -> u64 {
     match *fault {
         Fault::Stop { at, .. }
@@ -128,13 +129,13 @@ pub(super) fn in_order(faults: &[Fault]) -> Vec<Fault> {
     faults
 }
 
-/// The faults that did not happen.
+/// The faults of the schedule that did not happen.
 pub(super) fn idle(faults: &[Fault], happened: &[bool]) -> Vec<Fault> {
     let all = in_order(faults).into_iter().zip(happened);
     all.filter(|(_, happened)| !**happened).map(|(fault, _)| fault).collect()
 }
 
-/// The budgets that allow exactly these faults. Faults with an instant must be sorted by it.
+/// The budgets that allow exactly these faults. Faults that have an instant must be sorted by this instant.
 pub(super) fn budgets(faults: &[Fault]) -> CellFaults {
     let mut all = CellFaults::default();
     for fault in faults {
@@ -152,11 +153,11 @@ pub(super) fn budgets(faults: &[Fault]) -> CellFaults {
     all
 }
 
-/// The most faults of a schedule: budgets are counted in a byte.
+/// The greatest number of faults of a schedule: a byte counts them.
 pub const MOST_FAULTS: usize = 255;
 
 impl Fault {
-    /// Describes the fault in the cell's words. `time` formats a number of ticks.
+    /// Describes the fault in the names of the cell. `time` formats a number of ticks.
     #[must_use]
     pub fn words(&self, table: &CellTable, time: &dyn Fn(u64) -> String) -> String {
         let cell = table.cell();

@@ -1,7 +1,7 @@
-//! Shrinks the schedule of a finding as long as it shows the same finding.
+//! Shrinks the schedule of a finding, as long as the schedule still shows the same finding.
 //!
-//! First it leaves out faults: they are few, each one left out may save many choices, and a person reads them first. Then it
-//! lowers their numbers. Then it lowers the choices, all of which may be 0.
+//! First, faults are left out: there are few of them, each left-out fault may save many choices, and a person reads them
+//! first. Then the numbers in the other faults are lowered. Then the choices are lowered, down to 0 if possible.
 
 use super::driver::Source;
 use super::run::{Limit, Run, run};
@@ -10,22 +10,22 @@ use crate::cell::judge::Shown;
 use crate::cell::plan::CellPlan;
 use std::sync::Arc;
 
-/// The most steps that shrinking one finding may take.
+/// The greatest number of steps that shrinking one finding may take.
 const MOST_STEPS: u64 = 4_000_000;
 
 /// Shrinks one schedule.
 pub(super) struct Shrinker<'a> {
     pub plan: &'a Arc<CellPlan>,
-    /// What the schedule must show.
+    /// The finding that the schedule must show.
     pub shown: &'a Shown,
-    /// The limit of a run. When it is stopped, shrinking stops.
+    /// The limit of a run. Its stop flag also stops shrinking.
     pub limit: Limit<'a>,
-    /// The smallest schedule so far.
+    /// The smallest schedule so far that shows the finding.
     pub best: Schedule,
     pub spent: u64,
 }
 
-/// The number of moves in a run to this finding; `None` if the run does not show it.
+/// The number of moves in a run to this finding; `None` if the run does not show the finding.
 pub(super) fn moves_to(run: &Run, shown: &Shown) -> Option<usize> {
     run.shown.iter().find(|(_, known)| known.is_same(shown)).map(|&(at, _)| at)
 }
@@ -55,7 +55,7 @@ impl Shrinker<'_> {
         self.spent >= MOST_STEPS || self.limit.is_stopped()
     }
 
-    /// Tries a schedule, and keeps it if it shows the same finding. `None`: shrinking was stopped.
+    /// Tries a schedule, and keeps the schedule if it shows the same finding. `None`: shrinking was stopped.
     fn shows(&mut self, schedule: impl FnOnce() -> Schedule) -> Option<bool> {
         if self.is_spent() {
             return None;
@@ -70,7 +70,7 @@ impl Shrinker<'_> {
         Some(shows)
     }
 
-    /// Lowers the numbers of the faults.
+    /// Lowers the numbers in the faults.
     fn simplify(&mut self) {
         for at in 0..self.best.faults.len() {
             if let Fault::Stop { node, at: instant, restart: Some(_) } = self.best.faults[at] {
@@ -102,13 +102,13 @@ impl Shrinker<'_> {
             });
             chosen[at].2 = u32::try_from(least).unwrap_or(u32::MAX);
         }
-        // A choice past the end of the tape is 0, so zeros at its end are left out.
+        // A choice past the end of the tape is 0, so zeros at the end of a tape are left out.
         self.best.tape = tape(&flat(&self.best.tape));
     }
 }
 
-/// Binary search for the least number from `least` to `now` for which `holds` is true. Assumes that `holds` is true for
-/// all larger numbers, and for `now`. `None` from `holds` ends the search.
+/// Binary search for the least number from `least` to `now` for which `holds` is true. Assumes that `holds` is true for all
+/// larger numbers, and for `now`. If `holds` returns `None`, the search ends.
 fn lower((least, now): (u64, u64), holds: &mut dyn FnMut(u64) -> Option<bool>) -> u64 {
     if now <= least {
         return now;
@@ -129,7 +129,7 @@ fn lower((least, now): (u64, u64), holds: &mut dyn FnMut(u64) -> Option<bool>) -
     held
 }
 
-/// A choice that is not 0: its chooser, its position on that chooser's tape, its value.
+/// A choice that is not 0: its chooser, its position on that chooser's tape, and its value.
 type Choice = (Chooser, usize, u32);
 
 fn flat(tape: &Tape) -> Vec<Choice> {
@@ -149,8 +149,8 @@ fn tape(choices: &[Choice]) -> Tape {
     tape
 }
 
-/// Delta debugging: leaves out smaller and smaller parts of a list as long as the rest `holds`. At the end no single item can be
-/// left out. `None` from `holds` ends it early.
+/// Delta debugging: leaves out smaller and smaller parts of a list as long as `holds` is true for the remaining list. At
+/// the end no single item can be left out. If `holds` returns `None`, the function ends early.
 fn reduce<T: Clone>(mut all: Vec<T>, holds: &mut dyn FnMut(&[T]) -> Option<bool>) -> Vec<T> {
     if all.is_empty() || holds(&[]) == Some(true) {
         return Vec::new();
@@ -176,7 +176,7 @@ fn reduce<T: Clone>(mut all: Vec<T>, holds: &mut dyn FnMut(&[T]) -> Option<bool>
     }
 }
 
-/// For each number of a fault, its least value and its present value.
+/// For each number in a fault, the least value that it may have, and its present value.
 fn numbers(fault: &Fault) -> Vec<(u64, u64)> {
     match *fault {
         Fault::Lose { nth, .. }
@@ -192,7 +192,7 @@ fn numbers(fault: &Fault) -> Vec<(u64, u64)> {
     }
 }
 
-/// The same fault, with another value in one of its numbers.
+/// The same fault with another value for one of its numbers.
 fn with_number(fault: &Fault, number: usize, value: u64) -> Fault {
     let mut fault = fault.clone();
     match (&mut fault, number) {

@@ -1,4 +1,4 @@
-//! Picks times for a path of zones, and replays it on plain ticks.
+//! Picks times for a path that the search by zones found, and replays the path on plain ticks.
 
 use super::runner::{From, Run};
 use super::search::{Hit, Search, is_sampled};
@@ -14,13 +14,13 @@ use crate::zone::dbm::Dbm;
 use crate::zone::forks::again;
 use std::sync::Arc;
 
-/// A part of a path: moves, and the ticks after them in which nothing happens.
+/// A part of a path: some moves, and then ticks in which nothing happens.
 struct Leg {
     moves: Vec<CellMove>,
     silent: u64,
 }
 
-/// The finding, with moves at plain ticks that lead to it; `None` if no such moves were found.
+/// The finding, with moves on plain ticks that lead to it; `None` if no such moves were found.
 pub fn told(
     plan: &Arc<CellPlan>,
     (phase, hypothesis): (Phase, usize),
@@ -44,7 +44,7 @@ pub fn at_every_tick(plan: &Arc<CellPlan>) -> Arc<CellPlan> {
     Arc::new(CellPlan { times: Times::Every, ..CellPlan::clone(plan) })
 }
 
-/// Moves on plain ticks that lead to a kept state, at some of its times.
+/// Moves on plain ticks that lead to a kept state at one of its times.
 pub fn moves_to(
     plan: &Arc<CellPlan>,
     of: (Phase, &CellFaults),
@@ -57,7 +57,7 @@ pub fn moves_to(
 }
 
 impl Leg {
-    /// The leg of a run, at a point of its zone. Takes the moves of the run.
+    /// The leg of a run at a point of the run's zone. Takes the moves out of the run.
     fn of(run: &mut Run, point: &[i64]) -> Option<Self> {
         let silent = run.silent_until.map_or(0, |until| point[usize::from(until)] - run.now);
         Some(Self { moves: std::mem::take(&mut run.moves), silent: u64::try_from(silent).ok()? })
@@ -102,10 +102,10 @@ fn legs_to(
     }
 }
 
-/// A variable and an offset.
+/// A time: a variable and an offset.
 type Term = (usize, i64);
 
-/// Makes a run again. Returns its zone, too, and the terms of the times at its end.
+/// Makes a run again. Returns the run, its zone, and the times of the state at its end, as terms.
 fn rerun(search: &mut Search, state: Option<u32>, answers: &[u16]) -> Option<(Run, Dbm, Vec<Term>)> {
     let Search { runners, store, .. } = search;
     let runner = &mut runners[0];
@@ -126,18 +126,18 @@ fn rerun(search: &mut Search, state: Option<u32>, answers: &[u16]) -> Option<(Ru
     Some((run, zone, terms))
 }
 
-/// A replay on plain ticks.
+/// A replay of a path on plain ticks.
 struct Replay {
     cell: Unpacked,
     moves: Vec<CellMove>,
-    /// The tick until which time has passed on the path.
+    /// The tick up to which time has passed on the path.
     until: u64,
-    /// What the last move showed.
+    /// The findings of the last move.
     last: Vec<Shown>,
 }
 
 impl Replay {
-    /// Replays the legs; `None` if some move is not possible.
+    /// Replays the legs of a path; `None` if some move is not possible.
     fn of(plan: &Arc<CellPlan>, (phase, faults): (Phase, &CellFaults), legs: &[Leg]) -> Option<Self> {
         let mut cell = Unpacked::new(plan, phase, faults);
         let mut replay = Self { last: cell.shown(), cell, moves: Vec::new(), until: 0 };
@@ -155,13 +155,13 @@ impl Replay {
         Some(replay)
     }
 
-    /// Whether the last move shows this.
+    /// Whether the last move shows this finding.
     fn shows(&self, shown: &Shown) -> bool {
         let waits = [false, true].into_iter().filter_map(|goes_on| for_ever(&self.cell.run_state, goes_on));
         self.last.iter().cloned().chain(waits).any(|last| last.is_same(shown))
     }
 
-    /// Makes a move, if it is possible.
+    /// Makes a move if it is possible; otherwise returns `None`.
     fn take(&mut self, step: CellMove) -> Option<()> {
         let mut moves = Vec::new();
         self.cell.run_state.moves(&mut moves);
@@ -174,7 +174,8 @@ impl Replay {
         Some(())
     }
 
-    /// Lets time pass. What may happen before the end of the wait does not: actions go on, packets stay on their links.
+    /// Lets time pass up to `until`. Nothing happens before that tick, even if it may: actions go on, and packets stay on
+    /// their links.
     fn wait(&mut self) -> Option<()> {
         loop {
             let left = self.until - self.cell.run_state.passed;
@@ -183,7 +184,7 @@ impl Replay {
             if moves.contains(&CellMove::Pass) {
                 match self.cell.run_state.next_event() {
                     Some(next) if next.0 <= left => self.take(CellMove::Pass)?,
-                    // Nothing happens in the last tick.
+                    // The last tick of the wait has been reached.
                     _ => return Some(()),
                 }
                 if self.cell.run_state.passed == self.until {

@@ -1,4 +1,4 @@
-//! The result of a search by zones.
+//! Makes the result of a search by zones.
 
 use super::concrete;
 use super::runner::Runner;
@@ -13,7 +13,7 @@ use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Searches a cell by zones. All that it finds was found again on plain ticks.
+/// Searches a cell by zones. Every finding that it returns was found again on plain ticks.
 pub(in crate::cell) fn explore(
     plan: &Arc<CellPlan>,
     phase: (Phase, usize),
@@ -116,7 +116,7 @@ impl Search {
     }
 }
 
-/// The first standstill that is found again on plain ticks.
+/// The first standstill that is also found on plain ticks.
 fn standstill(
     plan: &Arc<CellPlan>,
     (phase, hypothesis): (Phase, usize),

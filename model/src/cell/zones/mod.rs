@@ -1,4 +1,4 @@
-//! Searches a cell at every time inside its intervals, by zones.
+//! Searches a cell at every time inside of its intervals, by zones: sets of times.
 //!
 //! ```text
 //!   runner    runs the moves of a cell on symbolic times, from one kept state to the next, once for each way that its times allow
@@ -11,13 +11,14 @@
 //!   walked    looks up the states of random walks among the kept zones, for tests
 //! ```
 //!
-//! A state is a *control*, all but its times, and a *zone*, the times that it was reached with. The moves, their order within an
-//! instant and their checks are those of the search at every tick ([`Times::Every`](super::Times)): the same code makes them. Only
-//! the passing of time differs. Before time passes, all ticks in which nothing happens pass at once: their number becomes a variable,
-//! and no deadline, bound of a packet, or most time of an action may come meanwhile. Then one tick passes, in which something may
-//! happen. Zones are sets of integers, so this covers exactly what every tick covers.
+//! A state consists of a *control* and a *zone*. The control is everything but the state's times. The zone is the set of
+//! times with which the control was reached. The moves, their order within an instant and their checks are those of the
+//! search at every tick ([`Times::Every`](super::Times)), because the same code makes them. Only the passing of time
+//! differs. Before time passes, all ticks in which nothing happens pass at once: their number becomes a variable, and no
+//! deadline, bound of a packet, or most time of an action may come meanwhile. Then one tick passes, in which something may
+//! happen. Zones are sets of integers, so this search covers exactly what the search at every tick covers.
 //!
-//! A finding is told only if it is found again on plain ticks.
+//! A finding is reported only if it is found again on plain ticks.
 
 mod concrete;
 mod explore;
@@ -34,7 +35,7 @@ pub use walked::compare_zones_with_walks;
 use super::plan::{CellFaults, CellPlan};
 use imrs_protocol::rules::Rules;
 
-/// What zones do not cover; `None`: they cover the search of this plan with these faults.
+/// What a search by zones does not cover of this plan with these faults; `None` if it covers everything.
 pub(super) fn uncovered(plan: &CellPlan, faults: &CellFaults) -> Option<&'static str> {
     let found = [
         (!faults.pause.is_empty(), "pauses"),

@@ -1,4 +1,4 @@
-//! What a search by zones leaves out, beside what every search of a cell does.
+//! The reductions that only a search by zones makes, besides the reductions of every search of a cell.
 
 use super::runner::{Run, Runner};
 use crate::cell::run_state::CellMove;
@@ -90,9 +90,9 @@ impl Runner {
         }
     }
 
-    /// Adds states that can do nothing that this one cannot: those in which an action must end earlier. Then one zone covers what
-    /// would else be a zone for each time since the action began.
-    /// `now`: the variable of the present.
+    /// Adds states that can do nothing that this state cannot do: states in which an action must end earlier. Then one zone
+    /// covers what would otherwise be one zone for each time since the action began. `now` is the variable of the present
+    /// instant.
     pub(super) fn loosen(&mut self, forks: &Forks, now: u8) {
         for task in 0..self.run_state.cell.bodies.len() {
             let Some(actor) = &mut self.run_state.cell.bodies[task].actor else { continue };
@@ -103,14 +103,14 @@ impl Runner {
     }
 }
 
-/// Replaces the most time of an action by any time from its least one on, at least a tick.
+/// Replaces the most time of an action by any time that is not below its least time and at least a tick.
 fn loosen(forks: &Forks, now: u8, action: &mut Running) {
     if action.most == Running::FOREVER {
         return;
     }
     let mut cut = forks.cut();
     if cut.is_surely_at_most(action.least, Ticks::ZERO) {
-        // How long ago makes no difference.
+        // If the least time has passed, it makes no difference how long ago.
         action.least = Ticks::ZERO;
     }
     if !cut.is_surely_at_most(Ticks(1), action.most) || cut.is_surely_at_most(action.most, action.least) {
@@ -129,7 +129,7 @@ fn loosen(forks: &Forks, now: u8, action: &mut Running) {
     action.most = symbolic::between(new, now);
 }
 
-/// The packet that a move removes from its link without an arrival.
+/// The packet that a move removes from its link without delivering it.
 const fn takes_away(step: CellMove) -> Option<u8> {
     match step {
         CellMove::Lose(_) | CellMove::Cut(..) | CellMove::Vanish(_) => step.packet(),

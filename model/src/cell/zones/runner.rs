@@ -20,7 +20,7 @@ use std::sync::Arc;
 pub(super) const QUIET: u8 = 1;
 const CHOICE: u8 = 0;
 
-/// Moves without an alternative before a state is kept in any case.
+/// After this many moves without an alternative, a state is kept in any case.
 const WALK: usize = 512;
 
 /// Where a run begins.
@@ -28,7 +28,7 @@ const WALK: usize = 512;
 pub enum From<'a> {
     /// At the start of the cell.
     Start,
-    /// In the state of this control.
+    /// In the kept state with this control.
     Kept(&'a [u8]),
 }
 
@@ -36,17 +36,18 @@ pub enum From<'a> {
 #[derive(Default)]
 pub struct Run {
     pub moves: Vec<CellMove>,
-    /// What the run shows, and after how many of its moves.
+    /// The findings of the run, each with the number of moves to it.
     pub hits: Vec<(Shown, usize)>,
-    /// The control of the state at its end; `None` if the search goes no further.
+    /// The control of the state at the run's end; `None` if the search does not continue from it.
     pub control: Option<Box<[u8]>>,
-    /// The instant of its last move, and the variable of the instant until which nothing happens then.
+    /// The instant of the run's last move. The next field is the variable of the instant up to which nothing happens after
+    /// it.
     pub now: i64,
     pub silent_until: Option<u8>,
-    /// Whether it had a fault or a restart, and whether it made progress or came to an end.
+    /// Whether the run had a fault or a restart. The next field says whether the run made progress or came to an end.
     pub takes_fault: bool,
     pub gets_on: bool,
-    /// Whether a state had no packed form.
+    /// Whether some state of the run had no packed form.
     pub outgrown: bool,
 }
 
@@ -72,7 +73,7 @@ impl Run {
     }
 }
 
-/// Whether a move puts off the end of an action or the arrival of a packet: it is no event.
+/// Whether a move puts off the end of an action or the arrival of a packet. Such a move is no event.
 const fn puts_off(step: CellMove) -> bool {
     matches!(step, CellMove::GoOn(..) | CellMove::Stay(_))
 }
@@ -83,13 +84,13 @@ pub struct Runner {
     /// The cell at its start, without symbols.
     pub(super) start: RunState,
     pub(super) run_state: RunState,
-    /// For states beside the run.
+    /// A second state, for states that the run itself does not reach.
     pub(super) other: RunState,
     /// What was left out in the runs from the present state.
     pub(super) left: Vec<LeftOut>,
     /// Whether no reduction is made that only a search by zones makes.
     pub(super) is_plain: bool,
-    /// The bounds on the time that may pass, in the state in which a run begins with the passing of time.
+    /// For a run that begins with the passing of time: the bounds on the time that may pass in its first state.
     limits: Vec<Ticks>,
     pub reached: Reached,
     pub mattered: Vec<bool>,
@@ -98,7 +99,7 @@ pub struct Runner {
 
 impl Runner {
     pub fn new(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Self {
-        // Queues order symbols in another way than numbers: those of the start must be made for symbols, too.
+        // Queues order symbols in another way than numbers, so the queues of the start must be made under a zone, too.
         let (mut start, _) = again(&Dbm::zero(), &[], |_| RunState::new(plan, faults));
         start.cell.is_symbolic = true;
         let reached = nothing_reached(&start);
@@ -116,7 +117,7 @@ impl Runner {
         }
     }
 
-    /// The remaining faults of a control, and the rest of it.
+    /// The remaining faults of a control, and the other bytes of it.
     pub fn split<'a>(&self, control: &'a [u8]) -> (Left, &'a [u8]) {
         self.start.split(control.get(1..).unwrap_or_default())
     }
@@ -146,7 +147,7 @@ impl Runner {
                 }
             }
         }
-        // A choice of the state in which the run begins is made in the run. A state with another choice is kept.
+        // The choice in the state where the run begins is made in the run. A later state with a choice is kept instead.
         let may_choose = match from {
             From::Start => false,
             From::Kept(_) => step.is_none() || !self.is_plain,
@@ -156,7 +157,7 @@ impl Runner {
         run
     }
 
-    /// Makes moves until a state is to be kept.
+    /// Makes moves until it reaches a state that is to be kept.
     fn go(&mut self, forks: &Forks, mut step: Option<CellMove>, mut may_choose: bool, run: &mut Run) {
         let mut moves = Vec::new();
         loop {
@@ -191,7 +192,7 @@ impl Runner {
                 [only] if run.moves.len() < WALK => only,
                 _ if may_choose => {
                     let taken = moves[forks.choose(moves.len())];
-                    // Nothing happens where something is put off: such a state is not worth keeping.
+                    // If a move only puts something off, nothing happens, so the state after it is not worth keeping.
                     may_choose = !self.is_plain && puts_off(taken);
                     taken
                 }
@@ -238,13 +239,13 @@ impl Runner {
         }
     }
 
-    /// Judges the last move.
+    /// Judges the last move of the run.
     fn look(&mut self, run: &mut Run) {
         let shown = judge(&mut self.run_state, self.phase, &mut self.reached);
         shown.into_iter().for_each(|shown| run.note(Some(shown)));
     }
 
-    /// Lets all ticks pass before the next one in which something may happen.
+    /// Lets all ticks pass before the next tick in which something may happen.
     fn be_silent(&mut self, forks: &Forks, run: &mut Run) {
         if !self.is_plain && self.goes_round(forks, run) {
             return;
@@ -276,8 +277,8 @@ impl Runner {
         self.keep(forks, QUIET, (until, 0), run);
     }
 
-    /// Whether only a tick has passed since a state that was kept, and no bound of that state is reached. Then that state has the times
-    /// now, too: it was kept with all numbers of ticks in which nothing happens.
+    /// Whether only a tick has passed since a state that was kept, and no bound of that state is reached. Then the kept
+    /// state includes the present times: it was kept for every number of ticks in which nothing happens.
     fn goes_round(&self, forks: &Forks, run: &Run) -> bool {
         let is_left = |limit: &Ticks| forks.cut().is_surely_at_most(Ticks(2), *limit);
         !self.limits.is_empty()
@@ -286,7 +287,7 @@ impl Runner {
             && self.limits.iter().all(is_left)
     }
 
-    /// Packs the state to be kept.
+    /// Packs the state at which the run ends, so that it can be kept.
     fn keep(&mut self, forks: &Forks, kind: u8, now: (u8, i64), run: &mut Run) {
         if !self.is_plain {
             self.loosen(forks, now.0);

@@ -18,10 +18,11 @@ use std::time::Instant;
 /// A finding of a run from a kept state.
 pub(super) struct Hit {
     pub shown: Shown,
-    /// The state, by its number, and the answers of the run; `None`: the run from the start.
+    /// The number of the kept state in which the run began; `None`: the run began at the start. The next field has the
+    /// answers of the run.
     pub state: Option<u32>,
     pub answers: Box<[u16]>,
-    /// The moves of the run that lead to it.
+    /// The number of moves of the run that lead to the finding.
     pub moves: usize,
 }
 
@@ -40,7 +41,7 @@ pub(super) struct Search {
     pub store: Store,
     pub hits: Vec<Hit>,
     pub walks: Walks,
-    /// Runs whose times were not all exact.
+    /// The number of runs whose times were not all exact.
     pub inexact: u64,
     pub outgrown: bool,
     pub longest: usize,
@@ -130,7 +131,7 @@ impl Search {
             let core = core(&self.runners[0], &control);
             to = self.store.insert(control, core, Origin { parent, answers, zone }, (depth, since));
         }
-        // A run in which only time has passed leads to its own state.
+        // A run in which only time has passed leads back to its own state.
         let leads = run.gets_on || !to.is_empty();
         if let Some(from) = parent.filter(|_| leads && !run.takes_fault) {
             self.walks.note(from, if run.gets_on { &[] } else { &to });
@@ -168,14 +169,14 @@ impl Runner {
 /// How the times of a run went.
 struct Way {
     answers: Box<[u16]>,
-    /// The times of the state at its end.
+    /// The times of the state at the run's end.
     zone: Option<Dbm>,
     is_exact: bool,
     /// The least time since the start at which it ends, as far as is known.
     since: u64,
 }
 
-/// Whether the invariants of the machines are checked in the runs from a state.
+/// Whether the invariants of the state machines are checked in the runs from a state.
 pub(super) fn is_sampled(at: Option<u32>) -> bool {
     at.is_none_or(|at| at.is_multiple_of(SAMPLE))
 }

@@ -1,22 +1,22 @@
-//! Looks for standstills among the kept states.
+//! Looks for standstills among the kept states of a search by zones.
 //!
-//! A state is *still* if no run from it, without faults and restarts, leads to progress or to an end, at any of its times. So a
-//! standstill that only some times of a state lead to may be missed. What is told was found again on plain ticks, where it is
-//! explored as that of the search at every tick.
+//! A state is *still* if no run from it, without faults and restarts, leads to progress or to an end, at any of its times.
+//! So the search may miss a standstill to which only some times of a state lead. A reported standstill was found again on
+//! plain ticks, where it was explored in the same way as in the search at every tick.
 
 use super::store::Store;
 
-/// Where runs without faults and restarts lead.
+/// Where runs without faults and restarts lead to.
 #[derive(Default)]
 pub struct Walks {
-    /// Runs without progress: from one state to one that covers its end.
+    /// Runs without progress: the state where a run begins, and a kept state that covers the run's end.
     steps: Vec<(u32, u32)>,
-    /// States with a run to progress or to an end.
+    /// States from which a run leads to progress or to an end.
     free: Vec<u32>,
 }
 
 impl Walks {
-    /// Notes a run that leads to these states; without any it leads to progress or to an end.
+    /// Notes a run that leads to the states `to`. If there are none, the run leads to progress or to an end.
     pub fn note(&mut self, from: u32, to: &[u32]) {
         if to.is_empty() {
             self.free.push(from);
@@ -33,7 +33,7 @@ impl Walks {
         back.sort_unstable();
         back.dedup();
         self.steps.iter().for_each(|&(from, _)| leads[from as usize] = true);
-        // A state without any run free of faults is an end, too.
+        // A state without any run is an end, too: every run from it needs a fault or a restart.
         let ends = (0_u32..).zip(&leads).filter(|(_, leads)| !**leads).map(|(at, _)| at);
         let mut open: Vec<u32> = self.free.iter().copied().chain(ends).collect();
         while let Some(at) = open.pop() {

@@ -1,11 +1,11 @@
-//! The kept states: for each control, the zones that were reached.
+//! The kept states of a search by zones: for each control, the zones with which it was reached.
 
 use crate::cell::run_state::canon::Left;
 use crate::zone::dbm::Dbm;
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 
-/// How a part of a state's zone was reached: from which state, by which answers.
+/// How a part of a state's zone was reached: from which kept state, and by which answers of the run.
 pub struct Origin {
     pub parent: Option<u32>,
     pub answers: Box<[u16]>,
@@ -14,11 +14,11 @@ pub struct Origin {
 
 /// A kept state.
 pub struct State {
-    /// The number of its control.
+    /// The number of the state's control.
     pub control: u32,
-    /// Empty: another state has its times, too.
+    /// The times of the state. `None` if another state includes these times.
     pub zone: Option<Dbm>,
-    /// That other state.
+    /// The other state that includes the times of this one.
     heir: Option<u32>,
     pub origins: Vec<Origin>,
     /// Expanded states whose times it has, too, if it is a hull.
@@ -32,7 +32,7 @@ pub struct State {
 struct Known {
     left: Left,
     zone: Dbm,
-    /// The state that is still to be expanded with these times; `None`: they were expanded.
+    /// The state that is still to be expanded with these times; `None` if they have been expanded.
     state: Option<u32>,
     /// The states that have these times.
     states: Vec<u32>,
@@ -50,14 +50,14 @@ struct New {
     also: Vec<u32>,
 }
 
-/// All kept states.
+/// All kept states of a search.
 #[derive(Default)]
 pub struct Store {
     pub states: Vec<State>,
     /// The controls by number.
     pub controls: Vec<Box<[u8]>>,
     numbers: HashMap<Box<[u8]>, u32>,
-    /// For each control without its remaining faults, its zones.
+    /// For each control without its remaining faults, the known zones.
     known: HashMap<Box<[u8]>, Vec<Known>>,
     /// The states that are still to be expanded, the earliest first, and some whose times others have.
     open: BinaryHeap<Reverse<(u64, u32)>>,
@@ -86,8 +86,8 @@ impl Store {
         state
     }
 
-    /// Keeps a state unless kept ones cover its times. `core`: the control without its remaining faults. Returns the states that have
-    /// its times then.
+    /// Keeps a state unless kept states cover its times. `core` is the control without its remaining faults. Returns the
+    /// states that include its times then.
     pub fn insert(
         &mut self,
         control: Box<[u8]>,
@@ -160,7 +160,7 @@ impl Store {
         self.known.values().flatten().filter(|known| known.is_hull).count() as u64
     }
 
-    /// How many states were kept, without those whose times others have.
+    /// How many states are kept, without states whose times other states include.
     pub fn len(&self) -> usize {
         self.states.iter().filter(|state| state.zone.is_some()).count()
     }
@@ -247,7 +247,7 @@ impl State {
     }
 }
 
-/// Joins an expanded zone with others that were expanded, where their union is a zone.
+/// Joins an expanded zone with other expanded zones, if their union is a zone.
 fn merge_expanded(known: &mut Vec<Known>, mut at: usize) {
     loop {
         let one = &known[at];
@@ -260,7 +260,7 @@ fn merge_expanded(known: &mut Vec<Known>, mut at: usize) {
         let states = std::mem::take(&mut known[j].states);
         known[at].states.extend(states);
         known.swap_remove(j);
-        // The last one has taken the place of the removed one.
+        // `swap_remove` has put the last zone in the place of the removed one.
         at = if at == known.len() { j } else { at };
     }
 }

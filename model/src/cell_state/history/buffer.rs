@@ -10,13 +10,14 @@ const WINDOW: u32 = 64;
 pub(super) struct Buffer {
     pub port: PortId,
     pub handled: bool,
-    /// How often the port was bypassed, and how often it may be.
+    /// How often the port was bypassed, and how often it may be bypassed.
     pub bypassed: (u16, u16),
     pub waiting: Vec<Waiting>,
-    /// Messages that were accepted, and those that were handed over, of the present incarnation of each source.
+    /// The messages that were accepted, of the present incarnation of each source. The next field has the messages that
+    /// were handed over.
     pub taken: BTreeSet<(TaskId, u32)>,
     pub heard: BTreeSet<(TaskId, u32)>,
-    /// Commands that expired here. A copy of one counts as new, a copy of an earlier command does not.
+    /// Commands that expired in this buffer. A copy of such a command counts as new, a copy of an earlier command does not.
     pub lapsed: BTreeSet<(TaskId, u32)>,
     pub incarnations: Vec<(TaskId, Incarnation)>,
 }
@@ -26,18 +27,18 @@ pub(super) struct Waiting {
     pub source: TaskId,
     pub number: u32,
     pub class: Class,
-    /// When the message expires. This and `not_before` are times on the clock of the receiver's node.
+    /// When the message expires. This field and `not_before` are times on the clock of the receiver's node.
     pub expires: u64,
     pub not_before: u64,
     pub arrival: u64,
     pub rejections: u8,
     pub first_rejected: u64,
-    /// Whether the message or a copy of it came in this step: either may set a later expiry.
+    /// Whether the message or a copy of it came in this step: either of them may set a later expiry.
     pub prolonged: bool,
 }
 
 impl Waiting {
-    /// The order of service within a port, written independently of the machine's key (D14).
+    /// The order of service within a port, computed independently of the state machine's key (D14).
     pub const fn urgency(&self) -> (u64, Class, TaskId, u64) {
         (self.expires, self.class, self.source, self.arrival)
     }
@@ -56,8 +57,8 @@ impl Buffer {
         self.waiting.iter().position(|one| (one.source, one.number) == (source, number))
     }
 
-    /// A message of this incarnation of a source has come, so what was remembered of an earlier incarnation no
-    /// longer counts.
+    /// Called when a message of this incarnation of a source has come. What was remembered of an earlier incarnation then
+    /// no longer counts.
     pub fn enter(&mut self, source: TaskId, incarnation: Incarnation) {
         match self.incarnations.iter_mut().find(|(task, _)| *task == source) {
             None => self.incarnations.push((source, incarnation)),
@@ -71,7 +72,7 @@ impl Buffer {
         }
     }
 
-    /// Whether the machine may drop this message as a duplicate.
+    /// Whether the state machine may drop this message as a duplicate.
     pub fn knows(&self, source: TaskId, number: u32, class: Class) -> bool {
         self.taken.contains(&(source, number))
             || self.taken.union(&self.lapsed).filter(|(task, _)| *task == source).any(|&(_, newer)| {

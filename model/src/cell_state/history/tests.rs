@@ -1,4 +1,4 @@
-//! Each rule of the history, and what breaks it.
+//! Tests each rule of the history, and what breaks the rule.
 
 use super::*;
 use crate::cell_state::CellState;
@@ -9,7 +9,7 @@ const WRITER: TaskId = TaskId(0);
 const OTHER: TaskId = TaskId(1);
 const READER: TaskId = TaskId(2);
 
-/// Two tasks write to two ports of a third one: a class-1 port and a class-2 port.
+/// Two tasks send to two ports of a third task: a class-1 port and a class-2 port.
 #[derive(Clone)]
 struct Bench {
     history: History,
@@ -56,12 +56,12 @@ impl Bench {
         self.history.seen(0, &self.node_state, READER, &observation)
     }
 
-    /// The verdict if this message were handed over next.
+    /// The judgement if this message were handed over next.
     fn would_take(&self, port: usize, from: TaskId, number: u32, left: u64) -> Result<(), Violation> {
         self.clone().see(Event::Delivered, port, from, number, left)
     }
 
-    /// Puts these messages into a buffer: number and time left.
+    /// Puts these messages into a buffer. Each has a number and a time left.
     fn hold(&mut self, port: usize, from: TaskId, messages: &[(u32, u64)]) -> &mut Self {
         for &(number, left) in messages {
             self.see(Event::Enqueued, port, from, number, left).expect("a new message");
@@ -124,14 +124,14 @@ fn only_what_was_taken_in_is_a_copy() {
     bench.hold(1, WRITER, &[(7, 5)]);
     assert_eq!(bench.see(copy, 1, WRITER, 7, 5), Ok(()));
     assert_eq!(bench.see(copy, 1, OTHER, 7, 5), Err(Violation::FalseCopy));
-    // A command that expired before it was handed over may come once more; a status message counts as seen.
+    // A copy of a command that expired before it was handed over may come once more; a copy of a status counts as seen.
     bench.wait(5);
     assert_eq!(bench.see(Event::Discarded(Reason::Expired), 1, WRITER, 7, 0), Ok(()));
     assert_eq!(bench.see(copy, 1, WRITER, 7, 2), Err(Violation::FalseCopy));
     bench.hold(0, WRITER, &[(80, 5)]).wait(5);
     assert_eq!(bench.see(Event::Discarded(Reason::Expired), 0, WRITER, 80, 0), Ok(()));
     assert_eq!(bench.see(copy, 0, WRITER, 80, 2), Ok(()));
-    // Beyond the window a number counts as seen.
+    // A number that is too old for the dedup window counts as seen.
     assert_eq!(bench.see(copy, 0, WRITER, 15, 2), Ok(()));
     assert_eq!(bench.see(copy, 0, WRITER, 16, 2), Err(Violation::FalseCopy));
 }
@@ -214,7 +214,7 @@ fn a_message_that_this_step_rejects_goes_before_nothing_in_it() {
     }
     bench.wait(2);
     bench.history.steps += 1;
-    // The second rejection brings this message to its cap of two, in the step that takes the other one.
+    // The second rejection brings this message to its cap of two. It happens in the step that takes the other message.
     assert_eq!(bench.see(Event::Rejected, 1, WRITER, 1, 7), Ok(()));
     assert_eq!(bench.see(Event::Interrupted, 0, OTHER, 1, 6), Ok(()));
 }
@@ -256,7 +256,7 @@ fn a_packet_that_leaves_is_the_same_after_its_bytes() {
     for remaining in [0, 7, 10, 12_345, 400_000_000, 1 << 37, (1 << 42) - 1, 1 << 60, u64::MAX] {
         assert_eq!(sends(Packet { remaining: Ticks(remaining), ..packet }), Ok(()), "{remaining}");
     }
-    // Values that do not fit into their bits, and a port that does not exist.
+    // Packets with values that do not fit into their bits, or with a port that does not exist.
     for garbled in [
         Packet { hops: 8, ..packet },
         Packet { fragment: 16, ..packet },

@@ -16,7 +16,7 @@ pub struct Couple {
     pub takeover: u64,
     /// The period of the heartbeats in ticks.
     pub every: u64,
-    /// Whether the roles are exchanged at a take-over.
+    /// Whether primary and standby exchange roles at a take-over.
     pub mutual: bool,
     /// The rule by which the primary keeps its lease.
     pub rule: LeaseRule,
@@ -51,7 +51,7 @@ impl Couple {
         cell
     }
 
-    /// The plan.
+    /// The scenario.
     ///
     /// # Errors
     /// The errors of the cell's declaration.
@@ -70,20 +70,20 @@ impl Couple {
 /// different ports of the arm.
 #[derive(Clone, Debug)]
 pub struct Orders {
-    /// The couple.
+    /// The couple that gives the orders.
     pub couple: Couple,
     /// The longest link delay of an order in ticks.
     pub delay: u64,
     /// The TTL of an order in ticks.
     pub ttl: u64,
-    /// How many orders each of the two gives.
+    /// How many orders each task of the couple gives.
     pub orders: u8,
     /// Whether the arm drops orders of older epochs.
     pub heed: bool,
 }
 
 impl Orders {
-    /// The plan.
+    /// The scenario.
     ///
     /// # Errors
     /// The errors of the cell's declaration.

@@ -1,4 +1,5 @@
-//! Checker scenarios in which messages wait for a busy task: bypassed by GETs, rejected by rank, interrupting each other.
+//! Checker scenarios in which messages wait for a busy task: they are bypassed by GETs, rejected by rank, or interrupt each
+//! other.
 
 use crate::cell_state::plan::{CellProperty, CellScenario, Errand, Faults, TaskPlan, Times};
 use imrs_protocol::aging::Service;
@@ -9,8 +10,8 @@ use imrs_protocol::{
 };
 use std::sync::Arc;
 
-/// One node: one task receives over all its ports. Some tasks flood ports with urgent statuses. Others send statuses
-/// with a longer TTL on one port, and these are bypassed.
+/// One node: one task receives over all its ports. Some tasks flood ports with urgent statuses. Other tasks send statuses
+/// with a longer TTL on one port, and these statuses are bypassed.
 #[derive(Clone, Copy, Debug)]
 pub struct Flood {
     /// How many ports are flooded.
@@ -21,20 +22,20 @@ pub struct Flood {
     pub urgent: u64,
     /// The TTL of a bypassed status, in ticks.
     pub ttl: u64,
-    /// `bounded_buffer[n]` of the bypassed port, and how many tasks send on it.
+    /// `bounded_buffer[n]` of the port with bypassed statuses, and also how many tasks send on it.
     pub buffer: u16,
-    /// Fewest ticks between two bypassed statuses of a task.
+    /// The least number of ticks between two bypassed statuses of a task.
     pub every: u8,
     /// For how many ticks each message is served.
     pub service: u8,
-    /// Rules.
+    /// The rules of the protocol.
     pub rules: Rules,
-    /// Whether to check that every bypassed status is served; else how often it is bypassed.
+    /// Whether to check that every bypassed status is served. If not, the check is how often it is bypassed.
     pub served: bool,
 }
 
 impl Flood {
-    /// What bounds the wait of the bypassed status.
+    /// The numbers that bound the wait of a bypassed status.
     #[must_use]
     pub fn service(&self) -> Service {
         Service {
@@ -48,7 +49,7 @@ impl Flood {
         }
     }
 
-    /// The plan.
+    /// The scenario.
     ///
     /// # Errors
     /// The errors of the cell's declaration.
@@ -89,34 +90,34 @@ impl Flood {
     }
 }
 
-/// One node: a task runs actions without end and has handlers. Urgent messages outrank the action; the watched
-/// messages and those of their rivals do not.
+/// One node: a task runs actions without end and has handlers. Urgent messages outrank the action. The watched messages,
+/// and messages on a rival port, do not.
 #[derive(Clone, Copy, Debug)]
 pub struct Workshop {
     /// The TTL of the watched messages, in ticks.
     pub ttl: u64,
-    /// Fewest ticks between two watched messages of a task.
+    /// The least number of ticks between two watched messages of a task.
     pub every: u8,
-    /// `bounded_buffer[n]` of the watched port, and how many tasks send on it.
+    /// `bounded_buffer[n]` of the watched port, and also how many tasks send on it.
     pub buffer: u16,
-    /// `bounded_buffer[n]` of the rivals' port, and how many tasks send on it; 0: there is no such port.
+    /// `bounded_buffer[n]` of the rival port, and also how many tasks send on it; 0 if there is no such port.
     pub rivals: u16,
     /// How many ranks are above the watched messages in the `order`: 1 to 3.
     pub rank: u8,
-    /// The time penalty of the watched port, and whether it is the paper's literal one.
+    /// The time penalty of the watched port, and whether the paper's literal penalty applies.
     pub penalty: (u64, bool),
     /// How many ticks a handler runs.
     pub service: u8,
     /// Whether there are urgent messages, too.
     pub urgent: bool,
-    /// Rules.
+    /// The rules of the protocol.
     pub rules: Rules,
-    /// Whether to check that every watched message is served; else how often it is rejected.
+    /// Whether to check that every watched message is served. If not, the check is how often it is rejected.
     pub served: bool,
 }
 
 impl Workshop {
-    /// What bounds the wait of a watched message.
+    /// The numbers that bound the wait of a watched message.
     #[must_use]
     pub fn service(&self) -> Service {
         Service {
@@ -130,7 +131,7 @@ impl Workshop {
         }
     }
 
-    /// The plan.
+    /// The scenario.
     ///
     /// # Errors
     /// The errors of the cell's declaration.
@@ -186,7 +187,7 @@ impl Workshop {
         let watch = if self.served {
             CellProperty::Served { port: asks }
         } else {
-            // One more rank is above the rivals.
+            // The rivals have one more rank above them.
             let rank = self.rank + u8::from(self.rivals > 0);
             let refusals = Service { rank, ..service }.most_refusals();
             CellProperty::Fair { task: worker, bypasses: u8::MAX, refusals }
@@ -196,26 +197,26 @@ impl Workshop {
     }
 }
 
-/// Two tasks query a third, which runs actions, across a link or over a relay. The first one's query outranks the
-/// action, the second one's does not. A handler may send a command to a fourth task before it answers.
+/// Two tasks query a third task, which runs actions, across a link or over a relay. The first task's query outranks the
+/// action, the second task's query does not. A handler may send a command to a fourth task before it answers.
 #[derive(Clone, Debug)]
 pub struct Interrupted {
-    /// The time_out of the queries.
+    /// The time_out of the queries, in ticks.
     pub time_out: u64,
     /// How many queries each asking task sends.
     pub queries: u8,
     /// Whether there is a relay between the nodes.
     pub relay: bool,
-    /// Faults.
+    /// The faults that may happen.
     pub faults: Faults,
-    /// Rules.
+    /// The rules of the protocol.
     pub rules: Rules,
     /// The properties that are checked.
     pub watches: Vec<CellProperty>,
 }
 
 impl Interrupted {
-    /// The plan.
+    /// The scenario.
     ///
     /// # Errors
     /// The errors of the cell's declaration.
@@ -253,7 +254,7 @@ impl Interrupted {
     }
 }
 
-/// One task queries two at once, each on a node of its own.
+/// One task queries two tasks at once, each on a node of its own.
 ///
 /// # Errors
 /// The errors of the cell's declaration.
@@ -274,8 +275,8 @@ pub fn query_all(faults: Faults, watches: Vec<CellProperty>) -> Result<Arc<CellS
     Ok(Arc::new(plan))
 }
 
-/// A task runs actions without end and never receives. Every offer of a message from another node is rejected,
-/// because it does not outrank the action, unless aging raises its rank.
+/// A task runs actions without end and never receives. Every offer of a message from another node is rejected, because the
+/// message does not outrank the action, unless aging raises its rank.
 ///
 /// # Errors
 /// The errors of the cell's declaration.

@@ -1,4 +1,4 @@
-//! Sessions with nodes that are made up.
+//! Tests of sessions with simulated nodes.
 
 use super::*;
 use crate::clock::Clock;
@@ -22,7 +22,7 @@ impl Write for Closed {
     }
 }
 
-/// A writer that keeps everything.
+/// A writer that keeps all written bytes.
 #[derive(Clone, Default)]
 struct Kept(Arc<Mutex<Vec<u8>>>);
 
@@ -37,7 +37,7 @@ impl Write for Kept {
     }
 }
 
-/// What a node of this version says: its hello, and these frames.
+/// The bytes that a node of this version sends: its hello, and these frames.
 fn said((version, schema): (Version, u32), frames: &[ServerFrame]) -> Vec<u8> {
     let mut said = FrameWriter::new(Vec::new());
     let role = Role::Node(NodeIdentity {
@@ -55,7 +55,8 @@ fn said((version, schema): (Version, u32), frames: &[ServerFrame]) -> Vec<u8> {
     said.get_ref().clone()
 }
 
-/// Talks to a node that says this and closes. Returns how that ended, and what reached the sink.
+/// Runs a session with a node that sends these bytes and closes. Returns how the session ended, and which messages
+/// reached the sink.
 fn talked(said: &[u8], token: Option<&Token>, writer: impl Write) -> (End, Vec<Feed>) {
     let heard = Arc::new(Mutex::new(Vec::new()));
     let hears = heard.clone();
@@ -89,7 +90,7 @@ fn what_a_node_said_before_it_went_is_read_although_it_can_be_told_nothing() {
     );
 }
 
-/// The frames that a monitor sent behind its hello, without its pings.
+/// The frames that a monitor sent after its hello, without its pings.
 fn frames(kept: &Kept) -> Vec<ClientFrame> {
     let bytes = kept.0.lock().unwrap().clone();
     let mut reader = FrameReader::new(bytes.as_slice(), MAX_FRAME);
@@ -109,7 +110,8 @@ fn a_token_is_proven_first_and_never_sent() {
     let sent = frames(&kept);
     assert_eq!(sent[0], ClientFrame::Proof(token.proof(&challenge)));
     assert!(matches!(sent[1..], [ClientFrame::Want(_)]), "{sent:?}");
-    // A node that asks for no token is asked what it shows; one of an earlier version gets no token.
+    // In both cases the monitor subscribes: the first node requires no token, and the second, of an earlier version,
+    // gets none.
     let old = (Version { major: 1, minor: 2 }, 0xed49_0a48);
     for node in [(VERSION, SCHEMA), old] {
         let kept = Kept::default();

@@ -1,17 +1,17 @@
-//! The lints of the monitor: code, severity and explanation of each.
+//! The lints of the monitor: the kinds of findings, each with its code, severity and explanation.
 
 use crate::store::journal::Severity;
 
 /// A lint: a kind of finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lint {
-    /// A stable name, for programs and for `imrs explain`.
+    /// The code: a stable name, for programs and for `imrs explain`.
     pub code: &'static str,
-    /// Its severity.
+    /// The severity of such a finding.
     pub level: Severity,
     /// A short title.
     pub title: &'static str,
-    /// An explanation in Markdown: meaning, condition, remedy.
+    /// An explanation in Markdown: what the finding means, when it is reported, what to do.
     pub explanation: &'static str,
 }
 

@@ -63,7 +63,7 @@ pub(super) fn cut(store: &Store, cell: &Name, now: Moment, found: &mut Vec<Findi
 }
 
 impl<'a> Lately<'a> {
-    /// The growth of the links' drop counters, by reason.
+    /// By how much the links' drop counters have grown, by reason.
     fn link_discards(&self) -> impl Iterator<Item = (&'a str, u64)> + use<'a> {
         let before = self.before;
         self.after.link_discards.iter().filter_map(move |count| {

@@ -1,4 +1,4 @@
-//! Findings between tasks: rendezvous that will fail or failed for some members, and wait-for cycles.
+//! Findings between tasks: rendezvous that will fail or have failed for some members, and wait-for cycles.
 
 use super::{Finding, Place, codes};
 use crate::clock::Moment;
@@ -10,7 +10,7 @@ use crate::store::{Names, Store};
 use imrs_protocol::TaskId;
 use std::time::Duration;
 
-/// How long a divergent round is reported.
+/// For how long a divergent round is reported.
 const TOLD: Duration = Duration::from_secs(10);
 
 pub(super) fn look(store: &Store, cell: &Name, now: Moment, found: &mut Vec<Finding>) {
@@ -34,7 +34,7 @@ fn home(store: &Store, cell: &Name, names: &Names, task: TaskId) -> Option<Place
     Some(Place { task: Some(task), ..Place::node(incarnation) })
 }
 
-/// Findings of a rendezvous in which a member waits.
+/// The findings of a rendezvous in which a member waits.
 fn waiting(store: &Store, cell: &Name, names: &Names, meeting: &Meeting, found: &mut Vec<Finding>) {
     let title = |m: &Member| format!("{}@{}", m.name, m.node);
     let lost: Vec<String> = meeting.lost().map(title).collect();
@@ -62,7 +62,7 @@ fn waiting(store: &Store, cell: &Name, names: &Names, meeting: &Meeting, found: 
     }
 }
 
-/// A recent divergent round: some members were released and others were not.
+/// Reports a recent divergent round: some members were released and others were not.
 fn divergent(
     store: &Store,
     cell: &Name,

@@ -1,4 +1,4 @@
-//! The health checks: they derive findings from the store. Each finding names its place and its meaning.
+//! The health checks, which derive findings from the store. Each finding names its place and its meaning.
 
 pub mod codes;
 mod links;
@@ -20,16 +20,16 @@ use std::sync::{Arc, OnceLock};
 /// The place of a finding: a whole node, a task, or a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Place {
-    /// The incarnation of the node, or the id of a node that was never seen.
+    /// The incarnation of the node, or the id of a node that the monitor has never seen.
     pub node: Result<IncarnationId, NodeId>,
-    /// The task.
+    /// The task, if the place is a task or a port.
     pub task: Option<TaskId>,
-    /// The port.
+    /// The port, if the place is a port.
     pub port: Option<PortId>,
 }
 
 impl Place {
-    /// The row that stands for the healthy nodes of a large cell. No cell has a node of this number.
+    /// The place of the row that stands for the healthy nodes of a large cell. No cell has a node of this number.
     pub const HEALTHY: Self = Self { node: Err(NodeId(u16::MAX)), task: None, port: None };
 
     /// The place of a whole node.
@@ -37,7 +37,7 @@ impl Place {
         Self { node: Ok(incarnation.id), task: None, port: None }
     }
 
-    /// Whether `other` is this place or lies within it.
+    /// Whether `other` is this place or is within it.
     #[must_use]
     pub fn holds(&self, other: &Self) -> bool {
         self.node == other.node
@@ -49,11 +49,11 @@ impl Place {
 /// A finding.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
-    /// Its severity.
+    /// The severity of the finding.
     pub level: Severity,
-    /// A stable name, for programs: see [`codes`].
+    /// The code: a stable name, for programs. See [`codes`].
     pub code: &'static str,
-    /// Its place.
+    /// The place of the finding.
     pub place: Place,
     /// A description in words.
     pub text: Arc<str>,
@@ -65,8 +65,8 @@ impl Finding {
     }
 }
 
-/// Cached findings of the tasks and ports of an incarnation. They depend only on its frames, so they are computed once
-/// per frame: checking ten thousand ports for each drawn frame would dominate its cost.
+/// Cached findings of the tasks and ports of an incarnation. They depend only on the incarnation's frames, so they are
+/// computed once per received frame. Checking ten thousand ports for each drawn frame would take most of the drawing time.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Looked(OnceLock<Arc<[Finding]>>);
 
@@ -96,7 +96,7 @@ pub fn findings(store: &Store, cell: &Name, now: Moment) -> Vec<Finding> {
     found
 }
 
-/// Two snapshots to compare: the one at [`NodeIncarnation::base`] and the latest.
+/// Two snapshots of a node that are compared: the one at [`NodeIncarnation::base`] and the latest.
 struct Lately<'a> {
     before: Option<&'a Snapshot>,
     after: &'a Snapshot,

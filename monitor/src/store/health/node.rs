@@ -9,9 +9,9 @@ use imrs_wire::obs::{Liveness, RealTime};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// How long a report on timers stays valid.
+/// For how long a node's report on its timers is used.
 const VITALS: Duration = Duration::from_secs(3);
-/// With fewer ended timers there is no finding.
+/// If fewer timers than this have ended, their lateness is no finding.
 const A_RULE: u64 = 8;
 
 pub(super) fn look(store: &Store, incarnation: &NodeIncarnation, now: Moment, found: &mut Vec<Finding>) {
@@ -66,7 +66,8 @@ fn tasks(store: &Store, incarnation: &NodeIncarnation, lately: &Lately<'_>) -> V
     found
 }
 
-/// The scripts that a restarted node holds back: one finding if all tasks have the same remaining time, otherwise one each.
+/// Reports the scripts that a restarted node holds back: one finding if all tasks have the same remaining time,
+/// otherwise one finding each.
 fn held_back(incarnation: &NodeIncarnation, now: Moment, found: &mut Vec<Finding>) {
     let held: Vec<_> = incarnation.held_back(now).collect();
     let Some(&(_, first)) = held.first() else { return };
@@ -86,7 +87,7 @@ pub(crate) fn held_back_words(us: u64) -> String {
     format!("held back {} s more", us.div_ceil(1_000_000))
 }
 
-/// The same, with the reason.
+/// The words for a held-back script, with the reason.
 pub(crate) fn held_back_sentence(us: u64) -> String {
     format!("{}: commands of its earlier incarnation may still arrive", held_back_words(us))
 }
@@ -111,7 +112,7 @@ fn timers(incarnation: &NodeIncarnation, now: Moment, found: &mut Vec<Finding>) 
     }
 }
 
-/// Reports nodes that were never seen: killed ones, whose socket was left behind, and missing ones.
+/// Reports nodes that the monitor has never seen: killed nodes, whose socket was left behind, and missing ones.
 pub(super) fn never_seen(store: &Store, cell: &Name, found: &mut Vec<Finding>) {
     for one in unseen(store, cell) {
         let place = Place { node: Err(one.node), task: None, port: None };
@@ -145,7 +146,7 @@ pub(super) fn unlike(store: &Store, cell: &Name, now: Moment, found: &mut Vec<Fi
     }
 }
 
-/// The most frequent value; among equals, the greatest.
+/// The most frequent value; if several are equally frequent, the greatest of them.
 fn most_usual<T: Ord>(all: impl Iterator<Item = T>) -> Option<T> {
     let mut count: BTreeMap<T, usize> = BTreeMap::new();
     for one in all {

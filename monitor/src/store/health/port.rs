@@ -11,9 +11,10 @@ use crate::store::{NodeIncarnation, Store};
 use imrs_protocol::{Class, PortCounters, PortView};
 use imrs_wire::obs::TaskSnapshot;
 
-/// With this many rejections a message starves (R16, D58).
+/// A message that was rejected this often is about to starve (R16, D58).
 const REJECTIONS: u32 = 3;
-/// This many class-1 messages dropped for space since the base sample are a flood, if they are a quarter of the arrivals.
+/// If at least this many class-1 messages were dropped for lack of room since the base sample, and they are a quarter
+/// of the arrivals, they are a flood.
 const FLOOD: u64 = 10;
 
 pub(super) fn look(
@@ -27,7 +28,8 @@ pub(super) fn look(
     let state = || state(incarnation, &task.view.state);
     for (at, port) in task.view.ports.iter().enumerate() {
         let place = Place { task: Some(task.view.task), port: Some(port.port), ..Place::node(incarnation) };
-        // A node lists its ports in the same order every time.
+        // A node lists its ports in the same order every time, so the port's earlier state is most likely at the same
+        // position.
         let there = earlier.and_then(|task| task.view.ports.get(at)).filter(|there| there.port == port.port);
         let earlier = there.or_else(|| port_of(earlier?, port.port));
         if let Some((lint, text)) = earlier.and_then(|e| grown(port.class, &e.counters, &port.counters)) {
@@ -80,7 +82,7 @@ fn grown(class: Class, before: &PortCounters, after: &PortCounters) -> Option<(&
     Some((lint, format!("{words} (+{count})")))
 }
 
-/// A queued message that will starve or expire.
+/// Reports a queued message that will starve or expire.
 fn waiting(
     store: &Store,
     incarnation: &NodeIncarnation,
@@ -97,7 +99,8 @@ fn waiting(
         let from = incarnation.names.task(source);
         return Some((&codes::STARVING, format!("starving, rejected {times} times: #{number} of {from}")));
     }
-    // Use the node's own sample: counted down here, a message that was taken since the snapshot would raise an alarm.
+    // This uses the remaining time in the node's sample. If it were counted down here, a message that was taken since
+    // the snapshot would raise an alarm.
     for (position, entry) in port.queue.iter().enumerate() {
         let left = incarnation.left_when_seen(entry.remaining, task.age_us);
         if let Some(needed) = outlook.done_in(position)

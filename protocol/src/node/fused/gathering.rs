@@ -1,8 +1,8 @@
 //! Fused arrivals: a task reaches a `waitfor`, and the other members, all on its node, hear of it in the same step (D193).
 //!
-//! In small steps the task sends ARRIVE to each of the others. If it is the last one, each member is released and sends CONFIRM to
-//! all others, n (n - 1) in all, each an input of its own. Here every member hears of the arrival by the same functions, and no
-//! packet is made: the CONFIRMs would only find that their receivers are released.
+//! In small steps the task sends ARRIVE to each of the others. If it is the last one, each member is released and sends
+//! CONFIRM to all others, n (n - 1) in all, each an input of its own. In the fused step every member hears of the arrival
+//! by the same functions, and no packet is made: the CONFIRMs would only find that their receivers are released.
 
 use crate::cell::Usage;
 use crate::ids::TaskId;
@@ -19,19 +19,19 @@ pub trait Members {
     fn at(&mut self, place: usize) -> (&mut CommTask, impl Outbox);
 }
 
-/// A task's arrival at a `waitfor` that it may take as one fused step with all other members.
+/// A task's arrival at a `waitfor` that one fused step may carry out for all members.
 #[derive(Clone, Copy, Debug)]
 pub struct Gathering<'a> {
     table: &'a NodeTable,
     port: &'a Port,
-    /// The position of the task among the members.
+    /// The position of the arriving task among the members.
     from: usize,
     arguments: [u8; 8],
     patience: Ticks,
 }
 
 impl<'a> Gathering<'a> {
-    /// The arrival that `request` of `task` is. `None` if it is none, or if a member is on another node.
+    /// The arrival that `task` requests. `None` if `request` is no arrival, or if a member is on another node.
     #[must_use]
     pub fn of(table: &'a NodeTable, task: TaskId, request: &Request) -> Option<Self> {
         let Request::Arrive { port, arguments, time_out } = *request else { return None };
@@ -49,8 +49,8 @@ impl<'a> Gathering<'a> {
         others.filter_map(|(_, party)| table.place(party.task))
     }
 
-    /// Takes the step. All members must stand at the same time, and the others must have taken all that was sent to them before. False, and
-    /// nothing has changed, if anything about it is unusual.
+    /// Takes the step. The clocks of all members must show the same time, and the other members must have taken all that
+    /// was sent to them before. Returns false, and changes nothing, if the arrival needs small steps.
     pub fn step(&self, members: &mut impl Members) -> bool {
         let Self { table, port, from, arguments, patience } = *self;
         let at = |member: usize| table.place(port.parties[member].task).unwrap_or_default();
@@ -70,7 +70,7 @@ impl<'a> Gathering<'a> {
     }
 }
 
-/// The outbox of a member: its packets are for members of the same step, which need none.
+/// The outbox of a member in a fused step. It drops packets: they are for members that take part in the same step.
 struct Silent<O>(O);
 
 impl<O: Outbox> Outbox for Silent<O> {

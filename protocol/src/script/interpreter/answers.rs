@@ -1,4 +1,4 @@
-//! What the script learns of its communication task: answers, and what else it reads there.
+//! What a script reads from its communication task: answers and other data.
 
 use super::{Inbound, Interpreter, ScriptFault, ScriptOutbox, Wait};
 use crate::ids::{PortId, TaskId};
@@ -94,7 +94,7 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         machine.meeting_arguments(table, port, task)
     }
 
-    /// The message of a task that was received on this port and not answered.
+    /// The id of the message of `task` that the script received on `port` and has not answered.
     pub(super) fn owed(&self, port: PortId, task: TaskId) -> Option<ReplyTo> {
         self.out.communication()?.0.owed(port, task)
     }

@@ -89,7 +89,7 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         Ok(len)
     }
 
-    /// One fragment of that message.
+    /// One fragment of the message whose fields are the topmost operands.
     pub(super) fn part(&self, format: &Format, index: u8) -> Result<Contents, ScriptFault> {
         if format.fragments() == 1 {
             let mut bytes = [0; CONTENTS_BYTES];
@@ -127,7 +127,7 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         script.held = first;
     }
 
-    /// Reads the fields of the message or answer into their variables.
+    /// Reads the fields of the last message or answer into the variables of the operation.
     pub(super) fn unpack(&mut self, format: u16, into: u16) -> Result<(), ScriptFault> {
         let inbound = self.inbound.ok_or(ScriptFault::NothingReceived)?;
         let format = self.format(format)?;

@@ -15,7 +15,8 @@ use super::{
 use crate::request::{Answers, Call, Fault, Request, Signal, TimeId};
 use shortcut::Next;
 
-/// The interpreter of one step, with the results of the last answer. They do not outlive the step, so no state has them.
+/// The interpreter of one step, with the results of the last answer. These results end with the step, so they are not part
+/// of a script's state.
 pub(super) struct Interpreter<'a, O> {
     script: &'a mut Script,
     program: &'a Program,
@@ -35,7 +36,7 @@ pub(super) struct Interpreter<'a, O> {
 enum Flow {
     Next,
     To(Address),
-    /// It does not: the activation waits, or has ended.
+    /// The script does not go on: its activation waits, or has ended.
     Stop,
 }
 
@@ -69,7 +70,7 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
     }
 
     pub fn signal(&mut self, signal: &'a Signal) {
-        // The usual answer, before all others are told apart.
+        // This match handles the usual answer quickly, before all other cases are distinguished.
         let is_usual = matches!(self.frame().wait, Wait::Signal)
             && !matches!(signal, Signal::Interrupt(_) | Signal::Granted(_) | Signal::Fault(_));
         if is_usual || self.is_plain_answer(signal) {
@@ -77,7 +78,8 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         }
     }
 
-    /// Handles a signal, unless it just answers the operation in which the running activation waits: then returns true.
+    /// Handles a signal, unless it plainly answers the operation in which the running activation waits: for such an answer
+    /// it returns true.
     fn is_plain_answer(&mut self, signal: &Signal) -> bool {
         let wait = self.frame().wait;
         match (wait, *signal) {
@@ -139,7 +141,7 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         match self.frame().wait {
             Wait::Choice(alternatives) if choice < alternatives => self.resume(|turn| {
                 turn.operands().push(i64::from(choice))?;
-                // Time may have passed until the driver chose.
+                // Time may have passed before the driver chose.
                 turn.fresh = true;
                 Ok(Flow::Next)
             }),
@@ -196,7 +198,8 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         }
     }
 
-    /// Registers the handlers with the communication task, one after another, and then continues as `anew` says.
+    /// Registers the handlers with the communication task, one after another, and then lets the script continue as `anew`
+    /// says.
     fn register(&mut self, from: u8, anew: Anew) {
         let acting = self.script.acting;
         let acts = |handler: u8| acting >> handler & 1 == 1;
@@ -292,7 +295,7 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         self.frame().wait = Wait::Abandon(anew);
     }
 
-    /// The task lost its lease: it does not go on with its work, but may take over later (D61).
+    /// The task lost its lease: the script stops its work, but may take over later (D61).
     fn fenced(&mut self) {
         if self.program.takeover.is_some() {
             self.begin_anew(Anew::Passive);
@@ -301,7 +304,8 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         }
     }
 
-    /// Ends the wait of the running activation and continues as `step` says, unless that waits for something else.
+    /// Ends the wait of the running activation and continues as `step` says, unless that activation waits for something
+    /// else.
     fn resume(&mut self, step: impl FnOnce(&mut Self) -> Step) {
         let flow = step(self);
         let frame = self.frame();
@@ -327,7 +331,7 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         let mut left = STEP_LIMIT;
         while left > 0 {
             let shortcut = code.shortcut(at);
-            // The shortcut, a statement that begins before it and a jump after it.
+            // The sum counts the shortcut, a statement that begins before it, and a jump after it.
             if left >= u32::from(shortcut.count) + 2 {
                 if shortcut.statement {
                     if let Flow::Stop = self.statement(at) {
@@ -368,7 +372,8 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         self.program.code.get(usize::from(at)).ok_or(ScriptFault::Malformed)
     }
 
-    /// The name of the running activation's delay: each activation has one, and the timers have the names before.
+    /// The name of the running activation's delay: each activation has one such name. The timers of the program have the
+    /// names before these.
     fn delay_id(&self) -> TimeId {
         let timers = u8::try_from(self.program.timers.len()).unwrap_or(u8::MAX);
         TimeId(timers.saturating_add(self.script.level))

@@ -107,7 +107,7 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
         Ok(Flow::Next)
     }
 
-    /// A mask of the last answers of several.
+    /// A mask of the tasks whose last answers were of the kind `mark`.
     fn mark(&self, mark: Mark) -> u64 {
         let Some(Answers { asked, answered, refused, restarted, unsent }) = self.answers else { return 0 };
         *match mark {
@@ -119,7 +119,7 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
         }
     }
 
-    /// Sets what [`Op::Unpack`] reads, and pushes whether there is anything.
+    /// Sets the contents that [`Op::Unpack`] reads, and pushes whether there are any.
     fn bring(
         &mut self,
         port: PortId,
@@ -130,7 +130,8 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
         self.operands().push(i64::from(came.is_some()))
     }
 
-    /// Begins an action. A task that waits for its lease begins none (D61). The handler of the fence still may, to come to rest.
+    /// Begins an action. A task that waits for its lease begins no action (D61). Only its fence handler may, to bring the
+    /// robot to rest.
     fn act(&mut self, action: u16, arguments: u8, least: Ticks, most: Ticks) -> Step {
         let script = &*self.script;
         let first = script.held.checked_sub(usize::from(arguments)).ok_or(ScriptFault::Malformed)?;
@@ -156,7 +157,7 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
         own.wait == Wait::Passive || own.wait == Wait::Signal && op() == Some(&Op::Lease)
     }
 
-    /// The request of an operation that makes just one.
+    /// The request of an operation that makes exactly one request.
     fn request(&mut self, op: &Op) -> Result<Request, ScriptFault> {
         Ok(match *op {
             Op::Get { port, source, time_out } => Request::Get { port, source, time_out },

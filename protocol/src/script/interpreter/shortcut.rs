@@ -1,5 +1,5 @@
-//! Shortcuts: operations with resolved operands. Each is carried out wholly, or returns `None` before it changes anything that the
-//! operations themselves would not change in the same way.
+//! Shortcuts: operations with resolved operands. A shortcut is carried out wholly or returns `None`. Before a `None` it
+//! makes no change that the operations themselves would not make, too.
 
 use super::Interpreter;
 use crate::packet::{CONTENTS_BYTES, Contents};
@@ -12,14 +12,14 @@ use crate::script::{ScriptOutbox, Wait};
 /// How a script goes on after a shortcut.
 pub(super) enum Next {
     At(Landing),
-    /// It does not: the activation waits.
+    /// The script does not go on: its activation waits.
     Stop,
     /// The shortcut was not taken.
     Plain,
 }
 
 impl<O: ScriptOutbox> Interpreter<'_, O> {
-    /// Carries out the shortcut of the operation `at`, the beginning of a statement apart.
+    /// Carries out the shortcut of the operation `at`, without the beginning of a statement.
     #[inline]
     pub(super) fn shortcut(&mut self, shortcut: &Shortcut, at: Address) -> Next {
         let next = Next::At(shortcut.next);
@@ -67,7 +67,7 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
         (frame.at, frame.wait) = (at, Wait::Signal);
     }
 
-    /// Computes a value and passes it on.
+    /// Computes a value, and stores it, pushes it or jumps by it.
     #[inline]
     fn compute(&mut self, compute: &Compute) -> Option<i64> {
         let a = self.value(compute.a)?;
@@ -116,19 +116,19 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
         }
     }
 
-    /// Where the variables of the running handler begin.
+    /// The position of the first variable of the running handler.
     fn base(&self) -> usize {
         usize::from(self.script.level) * self.script.width
     }
 
-    /// Takes operands from the stack, which holds as many.
+    /// Removes `count` operands from the stack, which holds at least as many.
     fn pop(&mut self, count: u8) {
         if count > 0 {
             self.drop_operands(self.script.held.saturating_sub(usize::from(count)));
         }
     }
 
-    /// Packs a message and asks for the operation that sends it.
+    /// Packs a message and makes the request that sends it.
     #[inline]
     fn send(&mut self, send: &Send, at: Address) -> Option<()> {
         let mut bytes = [0; CONTENTS_BYTES];

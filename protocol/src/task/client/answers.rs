@@ -13,7 +13,7 @@ use crate::task::step::{Outbox, Step};
 use crate::task::wait::{Ended, Finished, Pending};
 
 impl Client {
-    /// Records the result for one recipient. The last missing result ends the request.
+    /// Records the result for one recipient of a request. The last missing result ends the request.
     fn mark(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -49,7 +49,7 @@ impl Client {
         } else if matches!(outcome, Outcome::Reply(_)) && request.recipients.iter().any(is_long) {
             Finished::Long(at)
         } else {
-            // No other part of the request needs to be kept.
+            // Nothing else of the request needs to be kept.
             request.close();
             return Ended { wait: Some(Pending::Reply(at)), finished: Finished::Outcome(outcome) };
         };
@@ -89,7 +89,8 @@ impl Client {
         }
     }
 
-    /// Drops an answer that no request waits for. The variant with late replies accepts it for the command that timed out last.
+    /// Drops an answer that no request waits for. The variant with late replies accepts such an answer for the command that
+    /// timed out last.
     fn late(&mut self, step: &mut Step<'_, impl Outbox>, endpoint: u16, packet: &Packet) -> Option<Ended> {
         let fits = |o: &Overdue| o.id == packet.id && o.port == packet.port && o.to == packet.source;
         let answers =

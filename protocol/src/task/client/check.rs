@@ -10,7 +10,8 @@ use crate::task::wait::{Finished, Pending};
 use crate::ticks::Instant;
 
 impl Client {
-    /// Checks that an activation waits at each open request, and that nothing is overdue there.
+    /// Checks that an activation waits at each open request, and that no retransmission or deadline of the request is
+    /// overdue.
     ///
     /// # Errors
     /// The first violation found.

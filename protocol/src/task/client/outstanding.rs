@@ -1,4 +1,4 @@
-//! The state of one outstanding class-2 request. Each port on which the task asks has one (§4.1, D5, D6, D12).
+//! The state of one outstanding class-2 request. Each port on which the task asks has one such state (§4.1, D5, D6, D12).
 
 use crate::ids::{MessageId, PortId, TaskId};
 use crate::observe::Reason;
@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 /// The state of a request.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) enum Phase {
-    /// No request is outstanding. The answers to the last one can be read.
+    /// No request is outstanding. The answers to the last request can be read.
     #[default]
     Closed,
     /// A request is outstanding.
@@ -24,7 +24,7 @@ pub(super) enum Phase {
     Ended,
 }
 
-/// The state of the request to one task.
+/// The state of a request towards one of the tasks that it asks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) enum Answer {
     #[default]
@@ -35,7 +35,7 @@ pub(super) enum Answer {
     Restarted,
 }
 
-/// A task that may be asked on the port, and the state of the request to it.
+/// A task that may be asked on the port, and the state of the request towards this task.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Recipient {
     pub task: TaskId,
@@ -71,7 +71,7 @@ pub(super) struct Outstanding {
 }
 
 impl Recipient {
-    /// Whether this task's answer to the message with this id is missing.
+    /// Whether the answer of this task to the message with this id is missing.
     #[inline]
     pub fn waits_for(&self, id: MessageId) -> bool {
         self.answer == Answer::Open && self.id == id
@@ -86,7 +86,8 @@ impl Recipient {
         let whole = packet.fragment == 0 && !packet.more;
         let by = (packet.port, packet.source);
         if self.contents.is_open() && self.by != Some(by) {
-            // The sender that began an answer completes it, unless another one sends a whole answer in one packet (D11).
+            // The sender whose fragments began an answer completes that answer. Only an answer in one packet may take its
+            // place (D11).
             if !whole {
                 return Err(Reason::Unexpected);
             }
@@ -162,7 +163,7 @@ impl Outstanding {
         self.forget();
     }
 
-    /// As [`close`](Self::close), where only this recipient was asked and nothing of its answer is kept here.
+    /// As [`close`](Self::close), for a request that asked only this recipient and keeps no part of its answer.
     #[inline]
     pub fn close_only(&mut self, recipient: usize) {
         self.phase = Phase::Closed;
@@ -175,7 +176,7 @@ impl Outstanding {
     /// Forgets the answers.
     #[inline]
     pub fn forget(&mut self) {
-        // A recipient that was not asked by the last request has nothing to forget.
+        // A recipient that the last request did not ask has nothing to forget.
         for recipient in self.recipients.iter_mut().filter(|recipient| recipient.answer != Answer::NotAsked) {
             (recipient.answer, recipient.packets_out, recipient.id) =
                 (Answer::NotAsked, 0, MessageId::default());
@@ -185,7 +186,7 @@ impl Outstanding {
         }
     }
 
-    /// Opens the request: the request was sent, and its answers are awaited.
+    /// Opens the request, after its messages were sent: from now on its answers are awaited.
     #[inline]
     pub fn open_for(
         &mut self,
@@ -199,7 +200,7 @@ impl Outstanding {
         self.copy_at = if retries > 0 { now + port.decl.resend } else { Instant::NEVER };
     }
 
-    /// Validates a deserialised request: its port and its capacities must be those of a new one.
+    /// Validates a deserialised request: its port and its capacities must be those of a new request.
     pub fn is_like(&self, new: &Self) -> bool {
         let is = |read: &Recipient, new: &Recipient| {
             (read.task, read.party) == (new.task, new.party) && read.contents.has_room_of(&new.contents)
@@ -217,7 +218,7 @@ impl Outstanding {
         self.parts.clear();
     }
 
-    /// The first packet of the only answer, if answers may take several.
+    /// The first packet of the only answer, if answers may take several packets.
     pub fn long_answer(&self) -> Option<Contents> {
         let answered = self.recipients.iter().find(|recipient| recipient.answer == Answer::Answered)?;
         answered.contents.get(0).copied()

@@ -9,7 +9,7 @@ use crate::task::violation::Violation;
 use crate::task::wait::{Finished, Pending};
 use alloc::vec::Vec;
 
-/// A bench on which task A has asked B, and A's thread waits for the answer.
+/// A fixture in which task A has asked B, and A's thread waits for the answer.
 fn asking() -> (Fixture, Client, Interrupts) {
     let mut bench = Fixture::new(A);
     let (mut client, mut threads) = (Client::new(&bench.table, &bench.own), Interrupts::default());

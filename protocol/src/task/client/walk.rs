@@ -32,7 +32,7 @@ impl Form {
     }
 }
 
-/// The state of the request to the only recipient. The phase of a request that is not closed implies it.
+/// The state of the request towards its only recipient. The phase of a request that is not closed implies this state.
 const fn one(phase: Phase) -> Answer {
     match phase {
         Phase::Closed | Phase::Open => Answer::Open,
@@ -122,7 +122,7 @@ impl Outstanding {
             }
             return;
         }
-        // The state of a request to one recipient is not packed, because the phase implies it.
+        // If the request has one recipient, the recipient's state is not packed, because the phase implies it.
         let at = recipients.iter().position(|recipient| recipient.answer == one(*phase));
         if !W::READS && at.is_none() {
             return;
@@ -159,7 +159,7 @@ impl Recipient {
         }
         if form.long_answers {
             contents.walk_answer(w);
-            // This visits the sender of an incomplete answer.
+            // The next lines visit the sender of an incomplete answer.
             let missing = open && contents.is_open() && (W::READS || by.is_some());
             if let Some((port, task)) = w.some(by, missing, (PortId(0), TaskId(0))) {
                 w.small(&mut port.0);

@@ -27,7 +27,7 @@ impl Parts {
 }
 
 impl Assembly {
-    /// Visits an incomplete answer. The request to which it belongs has its id and its deadline.
+    /// Visits an incomplete answer. Its id and its deadline are those of the request to which it belongs.
     pub fn walk_answer<W: Walk>(&mut self, w: &mut W) {
         w.word(&mut self.have);
         self.walk_fragments(w);

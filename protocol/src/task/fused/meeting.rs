@@ -9,8 +9,8 @@ use crate::task::wait::Pending;
 use crate::ticks::Ticks;
 
 impl CommTask {
-    /// What the other members hear once the task, the member at a position, reaches the `waitfor`. `None` if anything about it is
-    /// unusual here.
+    /// What the other members hear when this task, the member at this position, reaches the `waitfor`. `None` if this
+    /// member's state requires small steps.
     pub(crate) fn may_reach(
         &self,
         (port, member): (&Port, usize),
@@ -26,7 +26,7 @@ impl CommTask {
         if is_usual { rendezvous.may_reach(own, (port, member), (arguments, patience)) } else { None }
     }
 
-    /// Whether the member at a position hears of an arrival as usual.
+    /// Whether this task, the member at this position, can hear of the arrival in a fused step.
     pub(crate) fn may_hear(&self, (port, member): (&Port, usize), arrival: &Arrival) -> bool {
         let Self { own, machines, .. } = self;
         let Role::Meets(meeting) = own.endpoints[usize::from(port.parties[member].place)].role else {

@@ -5,7 +5,7 @@ use crate::packet::Class;
 use crate::queue::Slot;
 use crate::ticks::Instant;
 
-/// A candidate for interrupting the running activation: the lesser key goes first.
+/// A candidate for interrupting the running activation. The candidate with the least key goes first.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Offer {
     pub key: (Turn, u8, Instant, Class, PortId, u64),
@@ -15,17 +15,17 @@ pub(crate) struct Offer {
 /// The first part of the key of an offer, which counts before rank and urgency.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Turn {
-    /// The task has lost its lease, or takes over (D61).
+    /// A call of the lease: the task has lost its lease, or takes over (D61).
     Lease,
-    /// A capped message: it was rejected as often as ranks stand above it. The message with the earliest first rejection
+    /// A capped message, which was rejected as often as ranks stand above it. The message with the earliest first rejection
     /// goes first (D58).
     Capped(u64),
     /// A message of a port that was bypassed too often. The port with the most bypasses goes first, so the count is
     /// inverted.
     Bypassed(u16),
     InOrder,
-    /// A capped message right after another one. Messages that outrank the running activation by themselves go before it,
-    /// because otherwise a flood of rejected messages would starve the first rank (D76).
+    /// A capped message right after another one. Messages that outrank the running activation by their own rank go before
+    /// it, because otherwise a flood of rejected messages would starve the first rank (D76).
     CappedAgain(u64),
 }
 

@@ -109,7 +109,7 @@ impl Interrupts {
         }
     }
 
-    /// The node's Timer reports the end of a delay or a timer. Returns whether it was the delay of the running activation.
+    /// The node's Timer reports the end of a delay or a timer. Returns whether the running activation waited in that delay.
     pub fn time_is_over(&mut self, id: TimeId, turn: u8) -> bool {
         let Timers { slots, ended } = &mut self.timers;
         if let Some(at) = slots.iter().position(|slot| *slot == Some(Started { id, turn })) {
@@ -118,7 +118,7 @@ impl Interrupts {
         self.conclude(Pending::Delay(id, turn), &Finished::TimeOut(id))
     }
 
-    /// Whether a timer has ended whose handler has not begun.
+    /// Whether some timer has ended and its handler has not begun.
     pub const fn has_ended_timer(&self) -> bool {
         self.timers.ended != 0
     }
@@ -133,7 +133,7 @@ impl Interrupts {
         offers.min()
     }
 
-    /// Takes an ended timer out of its slot, because its handler begins.
+    /// Frees the slot of an ended timer, because the timer's handler begins. Returns the timer's name.
     pub fn take_timer(&mut self, at: usize) -> TimeId {
         let id = self.timers.slots[at].map_or(TimeId(0), |started| started.id);
         self.timers.take(at);

@@ -16,7 +16,7 @@ const TIMERS: u8 = 0x20;
 const ATOMIC: u8 = 0x40;
 const CAPPED: u8 = 0x80;
 
-/// Codes of waits. The lower ones are fixed; from each of these on, the codes count requests or meetings.
+/// Codes of waits. Lower codes are fixed. From each of these codes on, codes count requests or meetings.
 const REQUESTS: u8 = 0x10;
 const MEETINGS: u8 = 0x80;
 
@@ -48,7 +48,8 @@ impl Interrupts {
     pub(in crate::task) fn walk<W: Walk>(&mut self, order: &mut ServiceOrder, couple: Option<u8>, w: &mut W) {
         let Self { running, interrupted, depth, capped_last, next_turn, timers } = self;
         if W::READS {
-            // This is not packed: a single thread drives a packed task, so no report of an earlier start is in flight.
+            // This counter of timer starts is not packed: a single thread drives the task in a checker, so no report of an
+            // earlier start of a timer is in flight.
             *next_turn = 0;
         }
         let started = timers.slots.iter().flatten().count();
@@ -84,7 +85,7 @@ impl Interrupts {
                     (*rank, *atomic) = (byte & LEVELS, byte & ATOMIC != 0);
                 }
             }
-            // The running activation has already been told how its wait ended.
+            // The running activation has already got the signal of how its wait ended.
             if i < top {
                 walk_finished(finished, couple, w);
             }
@@ -133,15 +134,15 @@ fn walk_order<W: Walk>(order: &mut ServiceOrder, count: usize, w: &mut W) {
     }
 }
 
-/// Visits the timers in the order of their names, because the slots do not matter.
+/// Visits the timers in the order of their names, because behaviour does not depend on their slots.
 fn walk_timers<W: Walk>(timers: &mut Timers, started: usize, w: &mut W) {
     let Timers { slots, ended } = timers;
     let mut sorted: [_; super::TIMERS] = core::array::from_fn(|at| (slots[at], *ended & (1 << at) != 0));
     sorted.sort_unstable_by_key(|(started, _)| started.map_or(u16::MAX, |started| u16::from(started.id.0)));
     let started = w.count(started);
     for (place, over) in sorted.iter_mut().take(started) {
-        // The number of the start is not packed: a single thread drives a packed task, so no report of an earlier start is
-        // in flight.
+        // `turn` counts the starts of the timer, and is not packed: a single thread drives the task in a checker, so no
+        // report of an earlier start of the timer is in flight.
         let Started { id, turn: _ } = place.get_or_insert(Started { id: TimeId(0), turn: 0 });
         w.byte(&mut id.0);
         w.flag(over);
@@ -188,14 +189,14 @@ impl Pending {
                 w.instant(deadline);
             }
             Self::Delay(id, _) => w.byte(&mut id.0),
-            // The code contains everything about these waits.
+            // The code alone determines these waits.
             Self::Nothing | Self::Work | Self::Boundary | Self::Lease | Self::Reply(_) | Self::Meeting(_) => {
             }
         }
     }
 }
 
-/// A number plus one, or zero for none.
+/// Visits a number plus one, or zero for `None`.
 fn or_none<W: Walk>(w: &mut W, number: Option<u16>) -> Option<u16> {
     let read = w.count(number.map_or(0, |number| usize::from(number) + 1));
     u16::try_from(read).ok()?.checked_sub(1)

@@ -6,7 +6,8 @@ use crate::task::violation::Violation;
 use crate::ticks::Instant;
 
 impl Lease {
-    /// Checks that neither the end of the lease nor the take-over is overdue, and that a pending call is true (D61).
+    /// Checks that neither the end of the lease nor the take-over is overdue, and that a pending call describes the present
+    /// state (D61).
     ///
     /// # Errors
     /// The first violation found.

@@ -24,8 +24,8 @@ impl Lease {
         let contents = Contents::new(&[back[0], back[1], self.epoch, whose, guessed]).unwrap_or_default();
         let packet = mapping::message(port, step.own.task, self.partner, id, ttl, contents);
         step.out.transmit(Packet { kind: Kind::Query, ..packet });
-        // The next heartbeat is counted from the due instant, so that lateness does not add up. After a pause one heartbeat
-        // is sent, not all those that were missed.
+        // The next heartbeat's instant counts from the instant at which this one was due, so that lateness does not add up.
+        // After a pause one heartbeat is sent, not all those that were missed.
         let next = self.heartbeat_at + couple.every;
         self.heartbeat_at = if next > step.now() { next } else { step.now() + couple.every };
     }
@@ -51,8 +51,8 @@ impl Lease {
         let echoed = packet.id.sequence.plus(Seq24::MODULUS - back);
         let renewed = match step.table.rules().lease {
             LeaseRule::Echoed => {
-                // An echo of the answer of an earlier incarnation does not count, because that answer was sent earlier
-                // (D81).
+                // An echo of an answer that an earlier incarnation sent does not count, because that answer was sent before
+                // this incarnation began (D81).
                 let own = back != 0 && whose == step.own.incarnation.0;
                 let answered = self.answered.iter().flatten().find(|a| own && a.heartbeat == echoed);
                 answered.map(|answered| answered.until)
@@ -62,9 +62,10 @@ impl Lease {
         if let Some(until) = renewed.filter(|&until| until > step.now()) {
             match self.post {
                 Post::Leased(held) => self.post = Post::Leased(held.max(until)),
-                // The task may still believe that it acts: it must first learn that it was fenced.
+                // The task has not been signalled yet that it lost its lease, so it may still believe that it acts. The
+                // fence comes first.
                 Post::Waits if self.call.is_some() => {}
-                // All recorded answers announce this epoch, so an echo of any of them renews the lease, too.
+                // All recorded answers announce this epoch, so a later echo of any of them renews the lease, too.
                 Post::Waits => {
                     self.stand(Post::Leased(until));
                     // Under the heartbeat variant no answer has proposed the epoch yet.
@@ -129,16 +130,16 @@ impl Lease {
             (self.answered, self.newest, self.echo) = ([None; ANSWERS], None, None);
         }
         self.hear_of(epoch, guessed != 0);
-        // An echo that can no longer renew the lease counts as none, even before a heartbeat drops it.
+        // An echo that can no longer renew the lease is treated as absent, even before a heartbeat drops it.
         self.echo = self.echo.filter(|echo| echo.until > step.now());
         let newest = self.echo.is_none_or(|echo| packet.id.sequence.is_newer_than(echo.heartbeat));
         if newest {
-            // The partner's lease counts from the sending of the answer. By the time of the take-over it has ended whatever
-            // the drift, so a later echo is of no use.
+            // The partner's lease counts from the sending of the answer. By the time at which this task would take over,
+            // that lease has ended whatever the drift, so a later echo is of no use.
             self.echo = Some(Answered { heartbeat: packet.id.sequence, until: step.now() + couple.takeover });
             self.said = Contents::new(bytes.get(ECHO_BYTES..).unwrap_or(&[])).unwrap_or_default();
         }
-        // An answer that is older than the newest may postpone the take-over, but not disarm it.
+        // An answer that is older than the newest one may postpone the take-over, but not cancel it.
         let may = !couple.mutual || mode == LEASED || self.takeover_at != Instant::NEVER;
         self.takeover_at = if mode == ALONE && newest {
             Instant::NEVER
@@ -151,8 +152,8 @@ impl Lease {
 
     /// Whether a heartbeat is from the partner's present incarnation. A new incarnation has received no answer. The
     /// partner's earlier incarnation may have acted in an epoch that is unknown now, and so may an earlier incarnation of
-    /// this task: one epoch of each side is skipped. If the partner guesses, its earlier incarnation may have guessed, too,
-    /// and may have acted two epochs above that guess.
+    /// this task: so one epoch of each side is skipped. If the partner guesses, its earlier incarnation may have guessed,
+    /// too, and may have acted two epochs above that guess.
     fn enter_incarnation(&mut self, incarnation: Incarnation, epoch: u8, guessed: bool) -> bool {
         if self.incarnation.is_some_and(|known| incarnation.is_older_than(known)) {
             return false;
@@ -169,7 +170,7 @@ impl Lease {
     }
 
     /// Takes note of the partner's epoch. If exactly one side guesses, both use the epoch of the side that knows. A
-    /// proposal that this side made from a guess is then void, even if the number is the same.
+    /// proposal that this side made from a guess is then void, even if both have the same number.
     fn hear_of(&mut self, epoch: u8, guessed: bool) {
         if self.acts() {
             return;

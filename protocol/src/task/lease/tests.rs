@@ -2,7 +2,7 @@ use super::*;
 use crate::task::fixture::{A, ALIVE, B, Fixture};
 use crate::task::violation::Violation;
 
-/// One side of the couple, after its first step at 5.
+/// One side of the couple, after its first step at instant 5.
 fn side(task: TaskId) -> (Fixture, Lease) {
     let mut bench = Fixture::new(task);
     let mut lease = Lease::new(&bench.table, &bench.own).expect("a couple");
@@ -27,7 +27,7 @@ fn an_echo_of_an_answer_gives_the_lease_and_silence_ends_it() {
     assert_eq!(standby.advance(&mut b.at(Instant(9))), None);
     // The epoch is odd, and above any in which an earlier incarnation of the partner may have acted.
     assert_eq!(carry(&mut b, (&mut a, &mut primary), Instant(10)), Some(3));
-    // The lease counts from the answer, which was sent at 6.
+    // The lease counts from the answer, which was sent at instant 6.
     assert_eq!((primary.acts(), primary.left(Instant(10))), (true, Some(Ticks(10))));
     assert_eq!(primary.advance(&mut a.at(Instant(20))), None);
     assert_eq!((primary.acts(), primary.take_call()), (false, Some(Call::Fenced)));

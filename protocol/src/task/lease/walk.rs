@@ -118,7 +118,7 @@ impl Answered {
 }
 
 impl Lease {
-    /// Drops dead state: answers and echoes whose time has ended by `now`.
+    /// Drops dead state: answers and echoes that can no longer renew a lease at `now`.
     pub fn bury(&mut self, now: Instant) {
         for answered in &mut self.answered {
             *answered = answered.filter(|a| a.until > now && self.post != Post::Passive);

@@ -9,7 +9,8 @@ use crate::task::wait::Pending;
 use crate::ticks::{Instant, Ticks};
 
 impl Meetings {
-    /// Checks that an activation waits exactly where a deadline is set, that each rendezvous is consistent, and their order.
+    /// Checks that an activation waits at exactly the rendezvous whose deadline is set, that each rendezvous is consistent,
+    /// and that all are in the right order.
     ///
     /// # Errors
     /// The first violation found.
@@ -30,7 +31,7 @@ impl Meetings {
 }
 
 impl Rendezvous {
-    /// Checks the instants against the deadline, and the rounds against each other.
+    /// Checks the instants of a rendezvous against its deadline, and its rounds against each other.
     ///
     /// # Errors
     /// The first violation found.

@@ -1,4 +1,4 @@
-//! A rendezvous in a fused arrival: all members are on one node, and hear of it at once (D193).
+//! A rendezvous in a fused arrival: all members are on one node, and hear of the arrival at once (D193).
 
 use super::{Arrived, At, Meetings, Rendezvous};
 use crate::ids::{Incarnation, Round};
@@ -11,18 +11,19 @@ use crate::ticks::{Instant, Ticks};
 /// What the other members hear once a task reaches the waitfor.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Arrival {
-    /// The position of the task among the members.
+    /// The position of the arriving task among the members.
     from: usize,
     incarnation: Incarnation,
     round: Round,
     patience: Ticks,
     arguments: [u8; 8],
-    /// Whether the task is the last one: then every member is released.
+    /// Whether the arriving task is the last member: then every member is released.
     is_last: bool,
 }
 
 impl Rendezvous {
-    /// What the others hear once this task reaches the waitfor, which waits nowhere. `None` if anything about it is unusual here.
+    /// What the other members hear when this task, which does not wait anywhere, reaches the waitfor. `None` if the arrival
+    /// requires small steps.
     pub fn may_reach(
         &self,
         own: &Own,
@@ -36,8 +37,8 @@ impl Rendezvous {
         Some(arrival)
     }
 
-    /// Whether the member at a position hears of an arrival as usual: it is stored as the first of its round, and all members are
-    /// released or none.
+    /// Whether the member at this position can hear of the arrival in a fused step: the arriving task's first arrival in
+    /// its round, after which either all members are released or none.
     pub fn may_hear(&self, own: &Own, (port, member): (&Port, usize), arrival: &Arrival) -> bool {
         let Arrival { round, incarnation, .. } = *arrival;
         let other = &self.members[arrival.from];
@@ -53,11 +54,11 @@ impl Rendezvous {
             && self.completes(own.now, (port, member), arrival) == Some(arrival.is_last)
     }
 
-    /// Whether all others are here, besides this member and the one that arrives. `None` if they are, and one of them is within
-    /// the margin or of another incarnation.
+    /// Whether all members have arrived, besides this member and the one that arrives now. `None` if they have, but one of
+    /// their arrivals is within the margin, or of another incarnation.
     fn completes(&self, now: Instant, (port, member): (&Port, usize), arrival: &Arrival) -> Option<bool> {
         let (mut least, mut is_known) = (arrival.patience, true);
-        // This goes backwards: if members arrive in the order of the list, the last ones are missing longest.
+        // The loop goes backwards: if members arrive in the order of the list, the last ones are missing longest.
         for (i, other) in self.members.iter().enumerate().rev() {
             if i == member || i == arrival.from {
                 continue;
@@ -70,7 +71,7 @@ impl Rendezvous {
         (is_known && least > port.margin).then_some(true)
     }
 
-    /// Stores an arrival, and with the last one is released.
+    /// Stores an arrival. If it is the last one, releases this member.
     fn hear_at_once(&mut self, at: &mut At<'_, '_, impl Outbox>, own: usize, arrival: &Arrival) {
         let Arrival { from, incarnation, round, patience, arguments, is_last } = *arrival;
         self.members[from].incarnation = Some(incarnation);
@@ -82,7 +83,7 @@ impl Rendezvous {
         }
     }
 
-    /// Notes the CONFIRMs of all others, of whom each was released in the same step.
+    /// Notes the CONFIRMs of all other members, each of which was released in the same step.
     fn note_confirms(&mut self, own: usize) {
         for (i, member) in self.members.iter_mut().enumerate() {
             member.confirmed |= i != own;

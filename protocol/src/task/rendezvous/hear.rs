@@ -39,7 +39,8 @@ impl Rendezvous {
         let from = usize::from(peer.party);
         let Meeting { round, released, arguments } = packet.meeting();
         if at.step.own.turns_away(at.step.table, peer) {
-            // The packet may be meant for an earlier incarnation of this task, with which its sender may have been released.
+            // The packet may be meant for an earlier incarnation of this task. Its sender may have been released together
+            // with that incarnation.
             return self.drop_packet(at, packet, Reason::StaleIncarnation);
         }
         let arrived = Arrived { round, expires: at.now() + packet.remaining, arguments };
@@ -119,8 +120,8 @@ impl Rendezvous {
     /// Whether a packet of `round` with this `released` field proves that its sender was released from the round in which
     /// this task waits. If the field equals the packet's round, the sender was never released yet (D69).
     fn says_released(&self, at: &At<'_, '_, impl Outbox>, round: Round, released: Round) -> bool {
-        // A restarted task cannot tell its own meeting from one of an earlier incarnation by the number alone. So it ignores
-        // the field until its first release (D67).
+        // A restarted task cannot tell by the round alone whether a meeting was its own or one of its earlier incarnation.
+        // So it ignores the field `released` until its first release (D67).
         let believes = !at.step.own.restarted || self.released.is_some();
         at.step.table.rules().last_released && believes && released != round && released == self.announced
     }
@@ -156,7 +157,8 @@ impl Rendezvous {
         true
     }
 
-    /// Answers a late arrival: by CONFIRM if this task was last released from its round, and by ABORT otherwise (D54).
+    /// Answers a late arrival: by CONFIRM if this task was last released from the arrival's round, and by ABORT otherwise
+    /// (D54).
     fn answer_late(&mut self, at: &mut At<'_, '_, impl Outbox>, from: usize, packet: &Packet) {
         let round = packet.meeting().round;
         if !at.step.table.rules().answer_late_arrivals {
@@ -173,8 +175,8 @@ impl Rendezvous {
         }
     }
 
-    /// Notes a round that the task heard of, if it is fresher than its own. Round numbers have no order beyond half
-    /// the circle.
+    /// Notes a round that the task heard of, if that round is fresher than its own. Rounds more than half the number circle
+    /// apart have no order.
     pub(super) fn hear_of(&mut self, round: Round) {
         if self.numbered && round.is_newer_than(self.announced) {
             self.fresh = self.fresh.fresher(round);

@@ -1,4 +1,4 @@
-//! Packets that no future of a rendezvous can notice: a reduction for the model checker.
+//! Packets that a rendezvous will never notice, whatever happens later: a reduction for the model checker.
 
 use super::{Meetings, Rendezvous};
 use crate::ids::{Incarnation, Round, TaskId};
@@ -7,7 +7,7 @@ use crate::table::{NodeTable, Port};
 use crate::ticks::Instant;
 
 impl Rendezvous {
-    /// The incarnation in which this task last heard a member.
+    /// The incarnation in which a member was when this task last heard from it.
     pub fn heard_in(&self, port: &Port, member: TaskId) -> Option<Incarnation> {
         self.members[port.party_index(member)?].incarnation
     }

@@ -13,11 +13,11 @@ use crate::ticks::{Instant, Ticks};
 use alloc::boxed::Box;
 use serde::{Deserialize, Serialize};
 
-/// The task's side of each rendezvous in which it takes part.
+/// The rendezvous of a task: its side of each one in which it takes part.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Meetings {
     pub(super) list: Box<[Rendezvous]>,
-    /// A heap of the rendezvous, by when they act next (D108).
+    /// A heap of the rendezvous, ordered by when each acts next (D108).
     pub(super) next: Heap,
 }
 
@@ -43,7 +43,7 @@ impl Meetings {
         Some(self.run_at(step, (port, endpoint, meeting), act))
     }
 
-    /// As [`run`](Self::run), where the port and the position of its endpoint are known.
+    /// As [`run`](Self::run), for a caller that knows the port and the position of its endpoint.
     pub(super) fn run_at<'a, R, O: Outbox>(
         &mut self,
         step: &mut Step<'a, O>,
@@ -137,7 +137,7 @@ impl Meetings {
         self.next.first_instant(|at| self.list[usize::from(at)].due())
     }
 
-    /// Restores the order after a change of a rendezvous.
+    /// Restores the order of the heap after a change of one rendezvous.
     pub(super) fn touch(&mut self, at: u16) {
         let list = &self.list;
         let act = |at: u16| (list[usize::from(at)].due(), at);
@@ -149,7 +149,7 @@ impl Meetings {
         usize::from(meeting) < self.list.len()
     }
 
-    /// Validates deserialised rendezvous: their ports and numbers of members are those of new ones.
+    /// Validates deserialised rendezvous: their ports and numbers of members are those of new rendezvous.
     pub fn is_like(&self, new: &Self) -> bool {
         let is = |read: &Rendezvous, new: &Rendezvous| {
             (read.port, read.numbered, read.members.len()) == (new.port, new.numbered, new.members.len())

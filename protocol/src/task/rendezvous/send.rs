@@ -38,8 +38,8 @@ impl Rendezvous {
     pub(super) fn announce(&mut self, at: &mut At<'_, '_, impl Outbox>, resent: bool) {
         let now = at.now();
         let Some(deadline) = self.deadline else { return };
-        // The instant is counted back from the deadline, so that the last copies leave at fixed distances from the deadline
-        // (D55).
+        // The instant of the next ARRIVE counts back from the deadline, so that the last copies leave at fixed distances
+        // from the deadline (D55).
         self.resend_at = Self::resend_instant(deadline, now, at.port.decl.resend);
         let round = self.announced;
         let meeting = Meeting { round, released: self.released.unwrap_or(round), arguments: self.arguments };
@@ -58,7 +58,8 @@ impl Rendezvous {
         resent: bool,
     ) {
         let meeting = Meeting { round, released: round, arguments: [0; 8] };
-        // A late CONFIRM does no harm, because it names its round. So its TTL is the longest patience of any member.
+        // A late CONFIRM does no harm, because the packet names its round. So the TTL of the CONFIRM is the longest
+        // patience of any member.
         let packet = self.packet(at, Kind::Confirm, meeting);
         let id = MessageId { incarnation, ..packet.id };
         send(at, to, Packet { id, resent, ..packet });
@@ -71,7 +72,7 @@ impl Rendezvous {
         send(at, to, packet);
     }
 
-    /// A packet without its receiver, which `send` fills in.
+    /// A packet without its receiver, which the function `send` fills in.
     fn packet(&self, at: &At<'_, '_, impl Outbox>, kind: Kind, meeting: Meeting) -> Packet {
         Packet {
             kind,
@@ -86,7 +87,7 @@ impl Rendezvous {
     }
 }
 
-/// Sends a packet to a member, unless that is the task itself.
+/// Sends a packet to a member, unless the member is this task itself.
 fn send(at: &mut At<'_, '_, impl Outbox>, to: usize, packet: Packet) {
     let destination = at.port.parties[to].task;
     if destination != at.step.own.task {

@@ -6,7 +6,7 @@ use crate::task::violation::Violation;
 use crate::task::wait::{Ended, Finished, Pending};
 use alloc::format;
 
-/// A bench on which a task has waited at the waitfor since 10, with a patience of 30.
+/// A fixture in which a task has waited at the waitfor since instant 10, with a patience of 30.
 fn waiting(task: TaskId) -> (Fixture, Meetings, Interrupts) {
     let mut bench = Fixture::new(task);
     let (mut meetings, mut threads) = (Meetings::new(&bench.table, &bench.own), Interrupts::default());

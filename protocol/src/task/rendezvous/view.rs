@@ -14,7 +14,7 @@ impl Rendezvous {
         self.announced
     }
 
-    /// Whether the task waits here.
+    /// Whether the task waits in this rendezvous.
     pub fn is_waiting(&self) -> bool {
         self.deadline.is_some()
     }
@@ -24,7 +24,7 @@ impl Rendezvous {
         self.members.get(port.party_index(of)?)?.told
     }
 
-    /// The state of the task while it waits here.
+    /// The state of the task while it waits in this rendezvous.
     pub fn state(&self, now: Instant) -> TaskState {
         TaskState::Waiting { port: self.port, round: self.announced, remaining: self.left(now) }
     }

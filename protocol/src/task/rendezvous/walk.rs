@@ -102,14 +102,14 @@ impl Member {
         }
         w.known_incarnation(incarnation);
         if W::READS {
-            // This is not packed, because only monitors see it.
+            // This field is not packed, because only monitors see it.
             *confirmed = false;
         }
     }
 }
 
 impl Rendezvous {
-    /// Drops dead state, so that equal futures have equal states.
+    /// Drops dead state, so that states with equal futures are equal.
     pub(super) fn bury(&mut self, now: Instant) {
         if !self.fresh.is_newer_than(self.announced) {
             self.fresh = self.announced;
@@ -128,8 +128,7 @@ impl Rendezvous {
                 || (owes && released == Some(round))
         };
         for member in &mut self.members {
-            // An arrival in this round counts even if its patience has ended, because that member is not among the missing
-            // ones.
+            // An arrival in this round counts even if its patience has ended, because its member does not count as missing.
             let came = |a: &Arrived| numbered && waiting && a.round == announced;
             member.arrived = member.arrived.filter(|a| came(a) || (a.expires > now && counts(a.round)));
             if let Some(arrived) = &mut member.arrived {

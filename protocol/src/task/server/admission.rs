@@ -13,9 +13,9 @@ use crate::task::step::{Outbox, Step};
 use crate::ticks::{Instant, Ticks};
 
 impl Server {
-    /// Extends the deadline of a waiting command if a copy comes that has more time left. A link charges an upper bound, so
-    /// the copy with the most time left shows best when the sender's wait ends (D20). Of a message of several packets only
-    /// the first complete copy counts.
+    /// Extends the deadline of a waiting command if a copy of the command comes that has more time left. A link charges an
+    /// upper bound, so the copy with the most time left shows best when the sender's wait ends (D20). Of a message of
+    /// several packets only the first complete copy counts.
     pub(super) fn prolong(
         &mut self,
         (inbox, source): Origin,
@@ -39,7 +39,7 @@ impl Server {
     }
 
     /// Whether the newcomer is the latest message of its source, on a port that keeps only the latest. Drops the message
-    /// that it replaces.
+    /// that the newcomer replaces.
     pub(super) fn supersedes(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -109,7 +109,7 @@ impl Server {
         step.out.transmit(mapping::control(to, step.own.task, Control::Refused, ttl));
     }
 
-    /// Whether this is the incarnation in which a source was last heard.
+    /// Whether this is the incarnation in which the source was when this task last heard from it.
     #[inline]
     pub(super) fn knows(&self, source: TaskId, incarnation: Incarnation) -> bool {
         // Many tasks hear of one other task alone.
@@ -149,7 +149,7 @@ impl Server {
     }
 
     /// Drops the waiting command of a source that sends a newer one: a source has only one outstanding request per port, so
-    /// it has given up the older one (D12).
+    /// the source has given up the older command (D12).
     pub(super) fn withdraw_superseded(&mut self, step: &mut Step<'_, impl Outbox>, (inbox, source): Origin) {
         let entry = &self.inboxes[inbox].sources[source];
         let task = entry.task;

@@ -11,8 +11,9 @@ use crate::task::step::{Outbox, Step};
 use crate::ticks::Ticks;
 
 impl Server {
-    /// Adds a fragment. Returns the message once it is complete, as one packet with the least remaining time of all fragments.
-    /// The link delay of the reply is `reserved`: a message expires here once its answer could not arrive in time (D18).
+    /// Adds a fragment to its message. Returns the message once it is complete, as one packet with the least remaining time
+    /// of all fragments. `reserved` is the link delay of the reply: the message expires as soon as its answer could no
+    /// longer arrive in time (D18).
     pub(super) fn assemble(
         &mut self,
         step: &mut Step<'_, impl Outbox>,

@@ -30,7 +30,7 @@ impl Inbox {
         if self.queue.len() > usize::from(port.decl.bounded_buffer) {
             return Err(Violation::Overfull(self.port));
         }
-        // Some variants extend the deadline of a waiting message beyond the end of its sender's wait and of its dedup entry.
+        // Some variants extend the deadline of a waiting message beyond its sender's wait and beyond its dedup entry.
         let exact = table.rules().charge_residence && !port.decl.lengthens_ttls();
         for (slot, held) in self.queue.iter() {
             let retry = self.queue.side(slot);

@@ -1,4 +1,4 @@
-//! What happens to a message from its wait to its answer: GET, delivery with the execution budget, and REPLY (§5.2.1).
+//! What happens to a waiting message until it is answered: GET, delivery with the execution budget, and REPLY (§5.2.1).
 
 use super::inbox::{Admission, Inbox, RetryState};
 use super::memory::{CommandStatus, DedupEntry, Memory};
@@ -16,8 +16,8 @@ use crate::task::step::{Outbox, Step};
 use crate::ticks::{Instant, Ticks};
 
 impl Server {
-    /// Removes and returns the most urgent message. It may be limited to one inbox, otherwise it is taken from all inboxes
-    /// without a handler. It may be limited to one source.
+    /// Removes and returns the most urgent message of one inbox, or of all inboxes without a handler. The message may be
+    /// limited to one source.
     pub fn next(
         &mut self,
         step: &Step<'_, impl Outbox>,
@@ -33,7 +33,7 @@ impl Server {
     }
 
     /// Chooses the message for a GET. In a GET over all ports, a port that was bypassed too often goes first (D58); then
-    /// urgency, class, `order`, port, source and arrival decide. Ports with a handler are served only if they are named
+    /// urgency, class, `order`, port, source and arrival decide. A port with a handler is served only if the GET names it
     /// (D14).
     fn most_urgent(&self, own: &Own, inbox: Option<u16>, source: Option<TaskId>) -> Option<(usize, Slot)> {
         let head = |at: usize| self.inboxes.get(at)?.head(source).map(|(slot, _)| (at, slot));
@@ -67,7 +67,7 @@ impl Server {
         Some(((inbox, source), held))
     }
 
-    /// Like [`take`](Self::take), for a message that was never stored in the buffer.
+    /// Like [`take`](Self::take), for a message that the task takes as it arrives, so that the buffer never stored it.
     pub(super) fn take_assembled(&mut self, (inbox, source): Origin, held: &Held) {
         self.taken.0 = Some(held.contents);
         if held.fragments < 2 {
@@ -108,7 +108,7 @@ impl Server {
         }
     }
 
-    /// Records the task's answer to a message. Returns the remaining time of the sender's wait.
+    /// Records the task's answer to a message. Returns the time for which the sender still waits.
     pub fn reply(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -130,7 +130,7 @@ impl Server {
         Ok(left)
     }
 
-    /// [`reply`](Self::reply) in a fused step. `None` if the message cannot be answered; then nothing has changed.
+    /// [`reply`](Self::reply) in a fused step. Returns `None`, and changes nothing, if the message cannot be answered.
     #[inline(always)]
     pub fn answer_fused(
         &mut self,
@@ -145,7 +145,8 @@ impl Server {
         Some(left)
     }
 
-    /// Whether [`hear`](Self::hear) would take this message in as it is: it is new, and no earlier one of its source is in the way.
+    /// Whether [`hear`](Self::hear) would simply take this message in: the message is new, and no earlier command of its
+    /// source waits.
     #[inline(always)]
     pub fn takes_fused(&self, (inbox, source): Origin, id: MessageId, now: Instant) -> bool {
         let inbox = &self.inboxes[inbox];
@@ -153,8 +154,8 @@ impl Server {
         !inbox.latest && known.is_next(id, now) && self.knows(known.task, id.incarnation)
     }
 
-    /// [`hear`](Self::hear) and [`deliver`](Self::deliver) in a fused step, for a message that
-    /// [`takes_fused`](Self::takes_fused) allows.
+    /// [`hear`](Self::hear) and [`deliver`](Self::deliver) in a fused step, for a message for which
+    /// [`takes_fused`](Self::takes_fused) is true.
     #[inline(always)]
     pub fn take_fused(
         &mut self,
@@ -176,8 +177,9 @@ impl Server {
         queue.len() < queue.capacity()
     }
 
-    /// Stores a message in its port's buffer in a fused step, as [`hear`](Self::hear) does. The caller has checked that the port has
-    /// no handler, that its buffer [has room](Self::has_room), and that [`takes_fused`](Self::takes_fused) allows the message.
+    /// Stores a message in its port's buffer in a fused step, as [`hear`](Self::hear) does. The caller has checked that the
+    /// port has no handler, that its buffer [has room](Self::has_room), and that [`takes_fused`](Self::takes_fused) is true
+    /// for the message.
     pub fn store_fused(
         &mut self,
         own: &Own,
@@ -199,13 +201,14 @@ impl Server {
         self.arrivals += 1;
         let inbox = &mut self.inboxes[origin.0];
         let stored = inbox.admit(held, RetryState::default(), self.served);
-        // The ready set looks at the most urgent message of a port alone.
+        // The ready set depends only on the most urgent message of each port.
         if inbox.queue.first().map(|(slot, _)| Admission::Kept(slot)) == Some(stored) {
             self.touch(own, origin.0);
         }
     }
 
-    /// Records a message from a task of this node: no link took any of its time. Returns its class.
+    /// Records a message from a task of this node, so that its copies are recognised. No link has charged the message.
+    /// Returns its class.
     #[inline(always)]
     fn remember_fused(
         &mut self,
@@ -239,7 +242,7 @@ impl Server {
         inbox.source(to.source).is_some_and(|source| inbox.answerable(source, *to, now).is_ok())
     }
 
-    /// The message of `task` that was taken at an inbox and is not answered; there is at most one (D75).
+    /// The message of `task` that this task took from an inbox and has not answered; there is at most one (D75).
     pub fn owed(&self, inbox: u16, task: TaskId) -> Option<ReplyTo> {
         let inbox = self.inboxes.get(usize::from(inbox))?;
         let known = inbox.sources[inbox.source(task)?].command()?;
@@ -252,11 +255,11 @@ impl Inbox {
     /// The time for which the sender still waits, if the message can still be answered.
     #[inline(always)]
     fn answerable(&self, source: usize, to: ReplyTo, now: Instant) -> Result<Ticks, Fault> {
-        // Once the dedup entry has ended, the sender's wait has ended, too.
+        // When the dedup entry has ended, the sender's wait has ended, too.
         let known = self.sources[source].command().filter(|c| c.until > now);
         let Some(dedup) = known else { return Err(Fault::Late) };
         if dedup.id != to.id {
-            // If a newer command has replaced the entry, the sender has given up this one.
+            // If a newer command has replaced the entry, the sender has given up this command.
             let newer = dedup.id.sequence.is_newer_than(to.id.sequence);
             return Err(if newer { Fault::Late } else { Fault::NothingToAnswer });
         }

@@ -1,5 +1,5 @@
-//! Fencing of commands that are sent under a lease: commands of a past epoch are dropped. Ports without a lease skip this
-//! stage (D61).
+//! Fencing of commands that are sent under a lease: commands of a past epoch are dropped. Ports that no lease guards skip
+//! this stage (D61).
 
 use super::{Held, Origin, Server, discard};
 use crate::observe::Reason;
@@ -12,8 +12,8 @@ use crate::task::step::{Outbox, Step};
 use crate::ticks::Instant;
 use serde::{Deserialize, Serialize};
 
-/// The newest epoch of a couple of which this task has heard, on any of the ports on which the couple commands it. It is
-/// kept for as long as a command of an older epoch may arrive (D61).
+/// The newest epoch of a couple of which this task has heard, on any of the ports on which the couple commands this task.
+/// The epoch is kept as long as a command of an older epoch may arrive (D61).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) struct Guard {
     /// The position of the couple in the cell.
@@ -55,7 +55,7 @@ impl Guard {
 
 impl Server {
     /// Returns the contents of a message sent under a lease, without the epoch behind them. Returns `None` if a newer epoch
-    /// is known. A new epoch drops all waiting commands of older ones.
+    /// is known. A new epoch drops all waiting commands of older epochs.
     pub(super) fn within_epoch(
         &mut self,
         step: &mut Step<'_, impl Outbox>,

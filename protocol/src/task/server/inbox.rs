@@ -24,7 +24,7 @@ pub(crate) struct Held {
     /// (D18).
     pub expires: Instant,
     pub contents: Contents,
-    /// The number of fragments of the message. The inbox stores those after the first one (D28).
+    /// The number of fragments of the message. The inbox stores the fragments after the first one (D28).
     pub fragments: u8,
     /// The number of the message in the order in which the task stored its messages. In a decoded state, only the order
     /// among messages of one source on one port is meaningful.
@@ -32,7 +32,7 @@ pub(crate) struct Held {
 }
 
 impl Held {
-    /// The message id. Its two fields are stored apart, because they fit into the padding of the struct.
+    /// The message id. The two fields of the id are stored apart, because they fit into the padding of the struct.
     pub const fn id(&self) -> MessageId {
         MessageId { incarnation: self.incarnation, sequence: self.sequence }
     }
@@ -41,15 +41,15 @@ impl Held {
 /// The retry state of a waiting message, on a port with a handler.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct RetryState {
-    /// The number of rejections by rank, up to the cap, and the number of the round in which the first one happened (D58).
+    /// The number of rejections by rank, up to the cap, and the number of the group of rejections with the first one (D58).
     pub rejections: u8,
     pub rejected_first: u64,
     /// The instant before which the message is not offered again.
     pub not_before: Instant,
 }
 
-/// The order of service within a port: earliest deadline, then commands, then the lower source, then the earlier
-/// arrival. The order among ports is the server's (D14).
+/// The order of service within a port: earliest deadline, then commands, then the lower source, then the earlier arrival.
+/// The server decides the order among ports (D14).
 impl Entry for Held {
     type Side = RetryState;
 
@@ -167,7 +167,7 @@ impl Inbox {
         }
     }
 
-    /// Validates a deserialised inbox: its port, sources and capacities must be those of a new one.
+    /// Validates a deserialised inbox: its port, sources and capacities must be those of a new inbox.
     pub fn is_like(&self, new: &Self) -> bool {
         let long = match (&self.long, &new.long) {
             (Some(read), Some(new)) => read.is_like(new),
@@ -189,12 +189,12 @@ impl Inbox {
         self.long.as_ref().is_some_and(|long| !long.assemblies.is_empty())
     }
 
-    /// The fragments, after the first one, of the message in a slot; `None` if the port stores none.
+    /// The fragments, after the first one, of the message in a slot; `None` if the port's messages take one packet.
     pub fn body(&self, slot: Slot) -> Option<&Parts> {
         self.long.as_ref()?.bodies.get(usize::from(slot))
     }
 
-    /// As [`body`](Self::body), to be changed.
+    /// As [`body`](Self::body), but mutable.
     #[cfg(feature = "checker")]
     pub fn body_mut(&mut self, slot: Slot) -> Option<&mut Parts> {
         self.long.as_mut()?.bodies.get_mut(usize::from(slot))
@@ -205,22 +205,22 @@ impl Inbox {
         self.long.as_ref()?.assemblies.get(source)
     }
 
-    /// As [`assembly`](Self::assembly), to be changed.
+    /// As [`assembly`](Self::assembly), but mutable.
     pub fn assembly_mut(&mut self, source: usize) -> Option<&mut Assembly> {
         self.long.as_mut()?.assemblies.get_mut(source)
     }
 
-    /// Drops the fragments of a message. Returns whether there were any.
+    /// Drops the fragments of an incomplete message. Returns whether there were any.
     pub fn close(&mut self, source: usize, id: MessageId) -> bool {
         self.assembly_mut(source).is_some_and(|assembly| assembly.close(id))
     }
 
-    /// The fragments, after the first one, of the answer to a source; `None` if answers have none.
+    /// The fragments, after the first one, of the answer to a source; `None` if answers take one packet.
     pub fn answer(&self, source: usize) -> Option<&Parts> {
         self.long.as_ref()?.answers.get(source)
     }
 
-    /// As [`answer`](Self::answer), to be changed.
+    /// As [`answer`](Self::answer), but mutable.
     pub fn answer_mut(&mut self, source: usize) -> Option<&mut Parts> {
         self.long.as_mut()?.answers.get_mut(source)
     }
@@ -249,8 +249,8 @@ impl Inbox {
         self.since = if self.handled { 0 } else { served };
     }
 
-    /// The position of a source of which only the task is known. For a packet the position comes with its
-    /// [ends](crate::table::Ends).
+    /// The position of a source in this inbox, if only the task is known. For a packet, its [ends](crate::table::Ends) give
+    /// the position.
     pub fn source(&self, task: TaskId) -> Option<usize> {
         self.sources.binary_search_by_key(&task, |source| source.task).ok()
     }
@@ -270,7 +270,7 @@ impl Inbox {
     /// Stores a message. A full buffer evicts its least urgent message if the newcomer is more urgent; otherwise the
     /// newcomer is refused (D60).
     ///
-    /// For `served` see [`bypassed`](Self::bypassed).
+    /// `served` is explained at [`bypassed`](Self::bypassed).
     pub fn admit(&mut self, held: Held, retry: RetryState, served: u64) -> Admission {
         if self.queue.len() == 0 {
             self.begin(served);
@@ -291,7 +291,7 @@ impl Inbox {
         }
     }
 
-    /// The most urgent message, of all sources or of one. For one source this takes a linear search.
+    /// The most urgent message of all sources, or of one source. For one source this takes a linear search.
     pub fn head(&self, source: Option<TaskId>) -> Option<(Slot, &Held)> {
         match source {
             None => self.queue.first(),
@@ -302,15 +302,15 @@ impl Inbox {
         }
     }
 
-    /// The waiting message of a source, on ports where each source has at most one. It takes a linear search, over at most
+    /// The waiting message of a source, on ports where each source has at most one. This takes a linear search over at most
     /// as many messages as there are sources.
     pub fn of_source(&self, source: TaskId) -> Option<(Slot, &Held)> {
         self.queue.iter().find(|(_, held)| held.source == source)
     }
 
-    /// The slot of a waiting command. It takes a linear search, because each source has at most one waiting command (D75).
-    /// Variants that forget commands early (no residence, the literal penalty, no memory) may queue a command twice; the
-    /// later copy then counts.
+    /// The slot of a waiting command. This takes a linear search, because each source has at most one waiting command
+    /// (D75). Variants that forget commands early (no residence, the literal penalty, no memory) may queue a command twice;
+    /// the later copy then counts.
     pub fn find(&self, source: TaskId, id: MessageId) -> Option<Slot> {
         let alike = self.queue.iter().filter(|(_, held)| held.source == source && held.id() == id);
         alike.max_by_key(|(_, held)| held.arrival).map(|(slot, _)| slot)
@@ -328,8 +328,8 @@ mod tests {
     use super::*;
     use crate::task::own::Endpoint;
 
-    /// The memory that a receiver needs for an idle port with one source and room for one message, in either class. Two
-    /// words and two positions of it are for the heaps of the ready set.
+    /// The memory that a receiver needs for an idle port with one source and room for one message, in either class. The
+    /// heaps of the ready set take two words and two positions of this memory.
     #[test]
     fn an_idle_port_takes_at_most_256_bytes() {
         let orders = 2 * (size_of::<u64>() + size_of::<u16>());

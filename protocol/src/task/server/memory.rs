@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 pub(super) enum CommandStatus {
     /// The command waits in the port's buffer.
     Held,
-    /// The command expired in the buffer, before the task took it. Nothing ran, so a later copy with time left is taken in
-    /// as new. A copy may have more time left, because a link charges only an upper bound (D20).
+    /// The command expired in the buffer, before the task took it. The command did not run, so a later copy with time left
+    /// is taken in as a new command. A copy may have more time left, because a link charges only an upper bound (D20).
     Lapsed,
     /// The task has taken the command and has not answered it yet. The execution budget ends at this instant.
     Delivered(Instant),
@@ -22,7 +22,7 @@ pub(super) enum CommandStatus {
     Answered(Contents),
 }
 
-/// The dedup entry of the last command of one source on one port. One is enough, because a task has at most one
+/// The dedup entry of the last command of one source on one port. One entry is enough, because a task has at most one
 /// outstanding request per port (D75).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) struct DedupEntry {
@@ -41,24 +41,24 @@ impl DedupEntry {
     }
 }
 
-/// A sliding window over the received class-1 messages of one source: the newest number and the 64 before it.
+/// A sliding window over the received class-1 messages of one source: the newest number and the 64 numbers before it.
 ///
 /// A source numbers all its messages in one sequence, on all ports and to all receivers; a send to `n` tasks takes `n`
-/// numbers (D6). So a message that others have overtaken is taken if the source sent at most 63 others in between; otherwise
-/// it is dropped as a duplicate. Class 1 allows that loss (R53, D75).
+/// numbers (D6). So a message that later messages have overtaken is taken if the source sent at most 63 messages in
+/// between; otherwise the message is dropped as a duplicate. Class 1 allows that loss (R53, D75).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) struct Window {
     pub newest: Option<Seq24>,
     /// A bit mask of the messages before the newest: bit `i` says that the message `i + 1` numbers before it was seen.
     pub seen: u64,
-    /// When no copy of any of these messages can arrive any more. The window is then cleared, before sequence numbers repeat
-    /// (D6).
+    /// When no copy of any of these messages can arrive any more. At that instant the window is cleared, before sequence
+    /// numbers repeat (D6).
     pub until: Instant,
 }
 
 impl Window {
-    /// Records a message whose copies are gone by `until`. Returns false if the message is a duplicate, or is too old for
-    /// the window.
+    /// Records a message of which no copy can arrive after `until`. Returns false if the message is a duplicate, or is too
+    /// old for the window.
     pub fn admit(&mut self, sequence: Seq24, now: Instant, until: Instant) -> bool {
         if self.until <= now {
             *self = Self::default();
@@ -117,14 +117,15 @@ pub(super) enum Memory {
     Status(Window),
 }
 
-/// The result of looking a message up.
+/// The result of looking up a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Seen {
     /// The message is new, or known only by copies that expired before the task took them.
     New,
     /// The message is a copy of the command of the dedup entry.
     Again(CommandStatus),
-    /// The message is a duplicate status message, or a command older than that of the entry, which its sender has given up.
+    /// The message is a duplicate status, or a command older than the command of the dedup entry: its sender has given it
+    /// up.
     Older,
 }
 
@@ -146,7 +147,7 @@ impl Source {
         }
     }
 
-    /// As [`command`](Self::command), to be changed.
+    /// As [`command`](Self::command), but mutable.
     #[inline]
     pub fn command_mut(&mut self) -> Option<&mut DedupEntry> {
         match &mut self.memory {
@@ -163,7 +164,7 @@ impl Source {
         }
     }
 
-    /// Records a class-1 message whose copies are gone by `until`.
+    /// Records a class-1 message of which no copy can arrive after `until`.
     pub fn admit(&mut self, sequence: Seq24, now: Instant, until: Instant) {
         match &mut self.memory {
             Memory::Status(window) => {
@@ -191,8 +192,8 @@ impl Source {
         }
     }
 
-    /// Clears entries whose messages can have no further copies. `copies` gives the numbers of the copies that may still
-    /// come.
+    /// Clears entries of messages of which no copy can arrive any more. `copies` gives the numbers of the copies that may
+    /// still come.
     #[cfg(feature = "checker")]
     pub fn bury_seen<I: Iterator<Item = Seq24>>(&mut self, copies: impl Fn() -> I) {
         // A copy newer than all received messages is taken in whether the entry exists or not.
@@ -219,7 +220,7 @@ impl Source {
         }
     }
 
-    /// Whether a message of the source's present incarnation is new, and no command of the source waits.
+    /// Whether a message of the source's present incarnation is new, while no command of the source waits.
     #[inline(always)]
     pub fn is_next(&self, id: MessageId, now: Instant) -> bool {
         match &self.memory {
@@ -257,8 +258,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Compares the window with a set of all received numbers. It admits no number twice, and every new one
-        /// within the window, wherever the sequence wraps.
+        /// Compares the window with a set of all received numbers. The window must admit no number twice, and must admit
+        /// every new number within its range, wherever the sequence wraps.
         #[test]
         fn the_window_admits_each_message_once(base in 0..Seq24::MODULUS, offsets in proptest::collection::vec(0..200_u32, 1..80)) {
             let mut window = Window::default();

@@ -28,7 +28,7 @@ pub(super) fn outranks(
 }
 
 impl Server {
-    /// The message that goes first among those that are due and may interrupt the running activation.
+    /// The first message, in the order of service, of those that are due and may interrupt the running activation.
     pub fn first_offer(&self, table: &NodeTable, own: &Own, threads: &Interrupts) -> Option<Offer> {
         let (limit, due_by) = (own.bypass_limit(), threads.due_by(own.now));
         let handled = self.inboxes.iter().enumerate().filter(|(_, inbox)| inbox.handled);
@@ -54,7 +54,7 @@ impl Server {
         offers.min()
     }
 
-    /// Counts a bypass for each other port that also had a due message which may interrupt the running activation (D58).
+    /// Counts a bypass for each other port that also has a due message that may interrupt the running activation (D58).
     pub fn count_bypasses(&mut self, step: &Step<'_, impl Outbox>, threads: &Interrupts, first: What) {
         if step.table.rules().aging == Aging::Off {
             return;
@@ -96,8 +96,8 @@ impl Server {
         }
     }
 
-    /// Rejects a message on arrival: it is offered before it is stored, and it does not outrank the running activation
-    /// (R25).
+    /// Rejects a message on arrival: the message was offered before it is stored, and does not outrank the running
+    /// activation (R25).
     pub(super) fn reject_arrived(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -111,7 +111,7 @@ impl Server {
     }
 
     /// Applies a new `order`. A message that was capped stays capped. The rejections of other messages count up to the new
-    /// cap at most. So no change of the `order` takes a message's turn away (D16, D58).
+    /// cap at most. So no change of the `order` makes a capped message wait again (D16, D58).
     pub fn reorder(&mut self, own: &Own, old: &ServiceOrder) {
         for inbox in &mut self.inboxes {
             let port = inbox.port;

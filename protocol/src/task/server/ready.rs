@@ -1,5 +1,5 @@
-//! The ready set: heaps over the inboxes of a task. They tell which port is served next, and where something is due next
-//! (D108).
+//! The ready set: heaps over the inboxes of a task. They tell which port is served next, and in which inbox a message is
+//! offered or expires next (D108).
 //!
 //! Each heap holds inbox positions. [`Server::touch`] restores their order after every change of an inbox. So a GET over all
 //! ports (§5.2.1) and [`CommTask::next_deadline`](crate::CommTask::next_deadline) look only at the roots, however many ports
@@ -18,18 +18,18 @@ use serde::{Deserialize, Serialize};
 /// The heaps of the ready set.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct ReadySet {
-    /// Non-empty ports without a handler, by the urgency of their head.
+    /// Non-empty ports without a handler, by the urgency of their first message.
     urgent: Heap,
-    /// The same ports, by how long they have been bypassed (D58).
+    /// Non-empty ports without a handler, by how long they have been bypassed (D58).
     eldest: Heap,
     /// Non-empty ports with a handler, by the instant of their next offer. Allocated with the task's first handler.
     offers: Heap,
-    /// Ports with a handler or with messages of several packets, by the instant at which something expires next. Allocated
-    /// with the first handler, or from the start if messages may take several packets.
+    /// Ports with a handler or with messages of several packets, by the instant at which the next message or fragment
+    /// expires. Allocated with the first handler, or from the start if messages may take several packets.
     ends: Heap,
 }
 
-/// The key that orders the heads of two ports (D14).
+/// The key that orders the first messages of two ports (D14).
 fn urgency(inboxes: &[Inbox], order: &ServiceOrder, at: u16) -> (Instant, Class, u8, PortId) {
     let inbox = &inboxes[usize::from(at)];
     let head = inbox.queue.first();
@@ -93,7 +93,8 @@ impl ReadySet {
         }
     }
 
-    /// Whether the inbox is in no heap. Once `offers` or `ends` is allocated, the answer is false even if it may be true.
+    /// Whether the inbox is in no heap. When `offers` or `ends` is allocated, the answer is false, even for an inbox that
+    /// is in no heap.
     fn is_without(&self, at: u16) -> bool {
         !self.urgent.has(at) && self.offers.capacity() == 0 && self.ends.capacity() == 0
     }
@@ -152,8 +153,8 @@ impl Server {
         (0..index(inboxes.len())).for_each(|at| ready.touch(inboxes, &own.order, at));
     }
 
-    /// The inbox without a handler that a GET over all ports serves (D14). A port that was bypassed too often goes first,
-    /// the longest bypassed before others (D58); then the port with the most urgent head.
+    /// The inbox without a handler that a GET over all ports serves (D14). Ports that were bypassed too often go first, the
+    /// longest bypassed before the others (D58). Then the port with the most urgent message is served.
     pub(super) fn next_served(&self, own: &Own) -> Option<usize> {
         let eldest = self.ready.eldest.first().map(usize::from);
         let limit = own.bypass_limit();
@@ -162,17 +163,18 @@ impl Server {
             .or_else(|| self.ready.urgent.first().map(usize::from))
     }
 
-    /// The next instant at which a message for a handler is due to be offered, whether or not it can be then.
+    /// The next instant at which a message for a handler is due to be offered, whether or not the running activation can
+    /// then be interrupted.
     pub fn next_offer(&self) -> Instant {
         self.ready.offers.first_instant(|at| next_due(&self.inboxes, at).0)
     }
 
-    /// Whether a message waits on a port with a handler.
+    /// Whether a message waits at a port with a handler.
     pub fn has_offers(&self) -> bool {
         self.ready.offers.len() > 0
     }
 
-    /// The position of an inbox in which something has expired.
+    /// The position of an inbox in which a message or fragment has expired.
     pub(super) fn expired(&self, now: Instant) -> Option<usize> {
         let is_over = |&at: &usize| self.inboxes[at].due() <= now;
         let first = |order: &Heap| order.first().map(usize::from).filter(is_over);
@@ -185,13 +187,13 @@ impl Server {
         urgent.len() + offers.len() + ends.len() == 0
     }
 
-    /// Whether no message waits at an inbox, or at any inbox without a handler.
+    /// Whether no message waits at this inbox. `None` stands for all inboxes without a handler.
     #[inline]
     pub fn has_nothing(&self, inbox: Option<u16>) -> bool {
         inbox.map_or(self.ready.urgent.len(), |inbox| self.inboxes[usize::from(inbox)].queue.len()) == 0
     }
 
-    /// The next instant at which something expires.
+    /// The next instant at which a message or fragment expires.
     pub fn next_end(&self) -> Instant {
         let first = |order: &Heap| order.first_instant(|at| self.inboxes[usize::from(at)].due());
         first(&self.ready.urgent).min(first(&self.ready.ends))

@@ -1,9 +1,10 @@
-//! What a server keeps of a route: the way back that the deadlines of waiting commands reserve (D18, D184).
+//! The times in a server that depend on a route: the way back that the deadlines of waiting commands reserve (D18, D184).
 //!
-//! Dedup entries, windows and epoch guards need no change, although their ends count a link delay, too. A copy that arrives in time
-//! arrives before its sender's deadline, because each link on any route charges no less than its delay (D20). That deadline is at
-//! most the declared time_out away when the first copy arrives, and the entry is kept for longer. The budget of a command that the
-//! task has taken is promised, and stays: an answer without time for the new route is dropped.
+//! Dedup entries, windows and epoch guards need no change, although their ends include a link delay, too. A copy that
+//! arrives in time arrives before its sender's deadline, because each link on any route charges no less than its delay
+//! (D20). When the first copy arrives, that deadline is at most the declared time_out away, and the entry is kept for
+//! longer. The execution budget of a command that the task has already taken stays as it was promised: an answer without
+//! enough time for the new route is dropped.
 
 use super::Server;
 use crate::packet::Class;
@@ -12,8 +13,8 @@ use crate::task::own::Own;
 use crate::ticks::Instant;
 
 impl Server {
-    /// Lets each waiting command expire once its answer could not arrive in time by the routes of `table`, in place of those of
-    /// `former`. The caller drops what has then expired.
+    /// Lets each waiting command expire as soon as its answer could not arrive in time by the routes of `table`, which
+    /// replace those of `former`. The caller drops the commands that have expired.
     pub fn reroute(&mut self, own: &Own, former: &CellTable, table: &CellTable) {
         if !table.cell().rules.reserve_way_back {
             return;

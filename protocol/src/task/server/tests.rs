@@ -15,14 +15,14 @@ fn command(bench: &Fixture, remaining: Ticks) -> Packet {
     mapping::message(port, A, B, MessageId::default(), remaining, contents)
 }
 
-/// Lets B receive a packet at 10, while B's thread does not wait.
+/// Lets B receive a packet at instant 10, while B's thread does not wait.
 fn hear(bench: &mut Fixture, server: &mut Server, threads: &Interrupts, packet: &Packet) -> Option<Arrival> {
     let table = bench.table.clone();
     let ends = Fixture::ends(&table, packet);
     server.hear(&mut bench.at(Instant(10)), (threads, false), (ends, 0), packet)
 }
 
-/// A bench on which a command of A waits at B.
+/// A fixture in which a command of A waits at B.
 fn holding() -> (Fixture, Server) {
     let mut bench = Fixture::new(B);
     let mut server = Server::new(&bench.table, &bench.own);

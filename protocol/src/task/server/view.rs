@@ -21,7 +21,7 @@ impl Server {
         waiting.iter().take(limit).map(|(_, held)| held.entry(now)).collect()
     }
 
-    /// The waiting messages of an inbox, with everything that decides their order.
+    /// The waiting messages of an inbox, with everything that decides the order of service.
     pub fn queue_view(&self, own: &Own, inbox: u16, limit: usize) -> QueueView {
         let inbox = &self.inboxes[usize::from(inbox)];
         let held = |(slot, held): &(Slot, &Held)| {

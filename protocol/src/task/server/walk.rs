@@ -48,9 +48,10 @@ impl Form {
 }
 
 /// Whether the arrival order of one source's waiting messages can matter. It matters only if the deadline of a waiting
-/// message can be extended and so become equal to another deadline: then the earlier arrival goes first. The literal penalty
-/// extends deadlines (D4), and so do copies of commands. A copy extends one only while its dedup entry exists. If waiting is
-/// charged, such a command waits alone, because the next command of its source replaces it (D12).
+/// message can be extended and so become equal to another deadline: then the earlier arrival goes first. The literal
+/// penalty extends deadlines (D4), and so do copies of commands. A copy extends a deadline only while the command's dedup
+/// entry exists. If waiting is charged, such a command waits alone, because the next command of its source replaces it
+/// (D12).
 fn arrival_matters(table: &NodeTable, port: &Port) -> bool {
     port.decl.lengthens_ttls() || (port.decl.class == Class::Command && !table.rules().charge_residence)
 }
@@ -104,20 +105,20 @@ impl Server {
             served,
             arrivals,
             rejections,
-            // `walk_incarnations` and `walk_guards` visit these fields.
+            // The functions `walk_incarnations` and `walk_guards` visit these fields.
             incarnations: _,
             guards: _,
-            // This is not packed, because the task has read the message by then.
+            // This field is not packed, because the task has read the message before the state is packed.
             taken,
-            // This is not packed, because it is empty between two inputs.
+            // This field is not packed, because it is empty between two inputs.
             turned: _,
         } = self;
         if W::READS {
             taken.0 = None;
             taken.1.clear();
-            // New numbers count from here on, because the ranks of the waiting messages keep their order.
+            // After decoding, new numbers count from here, because only the order of the waiting messages' numbers matters.
             (*arrivals, *rejections) = (0, 1);
-            // The count is at least as great as any packed count of bypasses.
+            // After decoding, this count is at least as great as any packed count of bypasses.
             *served = u64::from(u8::MAX);
         }
         for at in 0..inboxes.len() {
@@ -149,7 +150,7 @@ impl Server {
 }
 
 impl Inbox {
-    /// Visits an inbox. `waiting` holds its messages, unless the pass fills the inbox or changes them.
+    /// Visits an inbox. `waiting` holds the inbox's messages, unless the pass decodes or changes them.
     fn walk<W: Walk>(
         &mut self,
         form: Form,
@@ -264,7 +265,7 @@ impl Held {
             w.byte(rejections);
             rank(rejected_first, w);
         }
-        // An instant that has passed is packed as none.
+        // An instant that has passed is packed like an absent one.
         if later || W::PASS == Pass::Change {
             w.instant(not_before);
         }
@@ -277,7 +278,7 @@ impl Held {
     }
 }
 
-/// Visits a number whose rank is packed in its place.
+/// Visits a number in whose place its rank among such numbers is packed.
 fn rank<W: Walk>(number: &mut u64, w: &mut W) {
     if W::PACKS {
         *number = w.count(usize::try_from(*number).unwrap_or(usize::MAX)) as u64;
@@ -356,8 +357,8 @@ impl Server {
         }
     }
 
-    /// Clears dedup entries whose messages can have no further copies. `copies` gives the numbers of the copies that may
-    /// still come from a source on a port.
+    /// Clears dedup entries of messages of which no copy can arrive any more. `copies` gives the numbers of the copies that
+    /// may still come from a source on a port.
     pub fn bury_seen<I: Iterator<Item = Seq24>>(&mut self, copies: impl Fn(PortId, TaskId) -> I) {
         for inbox in &mut self.inboxes {
             let port = inbox.port;

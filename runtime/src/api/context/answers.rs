@@ -1,4 +1,4 @@
-//! Messages and answers between a program's types and the bytes of its communication task.
+//! Converts messages and answers between a program's types and the bytes of the task's communication task.
 
 use super::caller::Caller;
 use super::outcome::{Asked, Received, RequestFault, TaskError};
@@ -14,7 +14,7 @@ impl Caller {
         if decl.is_some_and(|port| port.decl.class != class) { Err(wrong_usage()) } else { Ok(()) }
     }
 
-    /// The only task that `to` names; an error if it names none or several.
+    /// The only task that `to` stands for; an error if it stands for no task or for several.
     pub(super) fn peer(&self, port: PortId, to: Target) -> Result<TaskId, TaskError> {
         let port = self.node.table.port(port).ok_or_else(|| fault(Fault::NotYourPort))?;
         let meant = |task: &TaskId| match to {
@@ -30,7 +30,7 @@ impl Caller {
         }
     }
 
-    /// Calls `each` with the outcome of every asked task.
+    /// Calls `each` with the outcome of every task that got the message.
     pub(super) fn each_answer<R: Message>(
         &mut self,
         port: PortId,

@@ -1,4 +1,4 @@
-//! How a task's program reaches its communication task: it asks, waits, and comes back with the answer.
+//! How a task's program reaches its communication task: it makes a request, waits, and returns with the answer.
 
 use super::outcome::TaskError;
 use crate::api::message::Bytes;
@@ -22,7 +22,7 @@ use std::time::Duration;
 pub(crate) struct Caller {
     pub node: Arc<Node>,
     place: usize,
-    /// The task's position in its domain.
+    /// The task's position in its domain: the tasks that share one lock.
     member: usize,
     effects: Effects,
     /// The buffers with which the thread receives while it leads. Made when it first leads.
@@ -30,9 +30,9 @@ pub(crate) struct Caller {
     /// The spin policy of the thread.
     policy: SpinPolicy,
     stopped: bool,
-    /// The error of a handler that failed: what the handler interrupted cannot go on.
+    /// The error of a handler that failed. The call that this handler interrupted cannot go on.
     failed: Option<TaskError>,
-    /// The message that was taken last.
+    /// The message that the task took last.
     pub taken: Option<ReplyTo>,
     /// How many handlers run above the task's thread.
     pub depth: u8,
@@ -64,12 +64,12 @@ impl Caller {
         }
     }
 
-    /// The node and the task's place there.
+    /// The node, and the position of the task in it.
     pub fn location(&self) -> (Arc<Node>, usize) {
         (Arc::clone(&self.node), self.place)
     }
 
-    /// For a task whose program is a future: no thread of the task ever sleeps.
+    /// A caller for a task whose program is a future: no thread of the task ever sleeps.
     pub fn of_a_future(node: Arc<Node>, place: usize, answers: Rc<RefCell<Answers>>) -> Self {
         let mut caller = Self::new(node, place);
         caller.effects.waiter = None;
@@ -128,8 +128,8 @@ impl Caller {
         self.brought()
     }
 
-    /// Whether `waker` was to be called for an answer when the future last entered. If not, it is from here on, and the future
-    /// must enter again before it waits.
+    /// Whether `waker` was already registered to be called for an answer when the future last entered its communication
+    /// task. If it was not, this registers it, and the future must enter again before it waits.
     pub fn listens(&mut self, waker: &Waker) -> bool {
         if self.waker.as_ref().is_some_and(|own| own.will_wake(waker)) {
             return true;
@@ -157,8 +157,8 @@ impl Caller {
         position.map(TaskId::from_index).ok_or_else(|| TaskError::NoTask(name.into()))
     }
 
-    /// Asks and waits for the answer: spinning, in the link or asleep, until another thread brings it, the machine next expires,
-    /// or `over`. Also returns the answer's age. Each answer is passed to `more`.
+    /// Makes a request and waits for its answer: spinning, in the link or asleep, until another thread brings the answer, or
+    /// until the machine's next expiry or the instant `over`. Also returns the answer's age. Each answer is passed to `more`.
     pub fn call(
         &mut self,
         asked: Micros,
@@ -197,15 +197,14 @@ impl Caller {
             self.wait(kind, now, until, waited);
             waited = true;
             now = clock::now();
-            // The deadline counts as due a spin tail earlier, because handling it early brings code and data
-            // into the caches.
+            // The thread acts on the deadline a spin tail before it is due, because that early call brings code and
+            // data into the caches.
             let due = now.saturating_add(self.node.spin_tail) >= until;
             entry = self.node.come_back(self.place, now, due, more, &mut self.effects);
         }
     }
 
-    /// Says whether sent packets wait from here on for more packets to leave with. Returns the earlier
-    /// setting.
+    /// Sets whether sent packets wait, from here on, to leave together with later ones. Returns the earlier setting.
     pub fn hold(&mut self, holds: bool) -> bool {
         let before = std::mem::replace(&mut self.effects.holds, holds);
         if !holds && !self.effects.leaving.is_empty() {
@@ -214,8 +213,9 @@ impl Caller {
         before
     }
 
-    /// Waits until there is something for the task, or until `until`: in the link itself if it can lead and its answer is likely
-    /// to come from there, else asleep. `now` may be some time ago. `waited` says that the task has waited for this before.
+    /// Waits until there is an answer for the task, or until `until`. The thread waits in the link if it can lead and
+    /// its answer is likely to come from there, else asleep. `now` may be some time ago. `waited` says that the task
+    /// has waited for the same answer before.
     fn wait(&mut self, kind: Option<Kind>, now: Micros, until: Micros, waited: bool) {
         if self.effects.holds {
             // Packets that were sent must not be held while the task waits.
@@ -227,12 +227,12 @@ impl Caller {
         // If a wait for a time alone must be exact, the thread sleeps on its word, not in the link.
         let link = node.link.as_ref().filter(|_| !node.is_exact || kind.is_some());
         let leading = link.and_then(|link| link.leading());
-        // `by_link` is set again when the link brings something for the task, whichever thread receives it.
+        // `by_link` is set again when the link brings an answer for this task, whichever thread receives it.
         let leading = leading.filter(|_| local.by_link.swap(false, Ordering::Relaxed));
         let handoff = &*local.handoff;
         let is_there = || handoff.is_called() || handoff.has_left();
         if leading.is_some() && is_there() {
-            // The link may have brought this before the wait began.
+            // The link may have set `by_link` before the wait began.
             return local.by_link.store(true, Ordering::Relaxed);
         }
         let inlet = leading.map(|_| &*self.inlet.get_or_insert_with(|| Inlet::new(Arc::clone(node))));
@@ -256,13 +256,13 @@ impl Caller {
             }
         }
         let early = if until == clock::FAR { until } else { until.saturating_sub(node.spin_tail) };
-        // If `early` has already passed since `now` was read, the kernel returns at once.
+        // If the instant `early` has passed since `now` was read, the kernel returns at once.
         if now < early {
             handoff.sleep(clock::nanos_of(early));
             return;
         }
-        // Unless the program set the tail, a thread spins only after it has slept: a wait that is briefer than the
-        // tail must yield the core, too.
+        // Unless the program set the length of the tail, a thread spins only after it has slept: a wait that is briefer
+        // than the tail must yield the core, too.
         if !waited && !node.is_exact {
             handoff.sleep(clock::nanos_of(until));
             return;
@@ -278,13 +278,13 @@ impl Caller {
         self.failed.get_or_insert(error);
     }
 
-    /// Cancels all outstanding requests, those of handlers and of the activations that they interrupted. Other members
-    /// of a `waitfor` get an ABORT.
+    /// Cancels all outstanding requests: those of handlers, and those of the activations that the handlers interrupted.
+    /// Other members of a `waitfor` get an ABORT.
     pub fn give_up(&mut self) {
         self.tell(Request::Abandon);
     }
 
-    /// The program has ended: the task answers no heartbeat any more, so that its partner takes over (D61).
+    /// Notes that the program has ended. From now on the task answers no heartbeat, so that its partner takes over (D61).
     pub fn end(&mut self) {
         self.give_up();
         self.tell(Request::End);
@@ -306,15 +306,15 @@ impl Caller {
         let _answered = self.node.ask(self.place, clock::next(), request, &mut |_| None, &mut self.effects);
     }
 
-    /// A message that the task takes now, `age` after its communication task gave it out, with its remaining time. `None` if it
-    /// expired in between, because the thread or its whole process stood still.
+    /// A message with the remaining time that it has when the task takes it, `age` after the communication task gave it
+    /// out. `None` if the message expired in between, because the thread or its whole process stood still.
     pub fn in_hand(&mut self, message: &Delivery, age: Ticks) -> Option<Delivery> {
         self.taken = Some(message.from);
         self.still_alive(message, age)
     }
 
-    /// As [`in_hand`](Self::in_hand), for a message that was taken earlier: the fragments that the communication task
-    /// keeps may belong to a later message by now.
+    /// As [`in_hand`](Self::in_hand), for a message that the task took earlier. The fragments that the communication
+    /// task keeps may belong to a later message by now.
     pub fn still_alive(&mut self, message: &Delivery, age: Ticks) -> Option<Delivery> {
         if message.budget > age {
             return Some(Delivery { budget: message.budget - age, ..*message });
@@ -339,7 +339,7 @@ impl Caller {
         Ok(whole)
     }
 
-    /// The answer of `task` with all its fragments. `first` is the first of them, where it is known.
+    /// The answer of `task` with all its fragments. `first` is the first fragment, where it is known.
     pub fn whole_answer(&mut self, port: PortId, task: TaskId, first: Option<&Contents>) -> Bytes {
         let mut whole = first.map(Bytes::of).unwrap_or_default();
         let from = u8::from(first.is_some());
@@ -353,7 +353,7 @@ impl Caller {
         whole
     }
 
-    /// Looks at the communication task after draining its inbox. Nothing else of it changes.
+    /// Calls `look` with the communication task after draining its inbox. Nothing else of the communication task changes.
     pub fn look<R>(&mut self, look: impl FnOnce(&mut Comm) -> R) -> R {
         let seen = self.node.locals.list[self.place].look(look, &mut self.effects);
         self.node.carry_out(&mut self.effects);
@@ -361,7 +361,8 @@ impl Caller {
     }
 }
 
-/// What a program has sent leaves, even if the program ended inside of a [`Context::together`](super::Context::together).
+/// Packets that a program has sent leave, even if the program ended inside of a
+/// [`Context::together`](super::Context::together).
 impl Drop for Caller {
     fn drop(&mut self) {
         self.hold(false);

@@ -1,5 +1,5 @@
-//! The calls of a program. Each is written once, for threads and futures: a thread blocks in [`Calls::ask`],
-//! and a future awaits it.
+//! The calls of a program. Each call is written once, for threads and futures: a thread blocks in [`Calls::ask`], and a
+//! future awaits it.
 
 use super::answers::{encoded, wrong_usage};
 use super::caller::Caller;
@@ -22,12 +22,13 @@ const PACKET: usize = CONTENTS_BYTES;
 pub(super) fn at_once<T>(call: impl Future<Output = Result<T, TaskError>>) -> Result<T, TaskError> {
     match pin!(call).poll(&mut Poller::from_waker(Waker::noop())) {
         Poll::Ready(result) => result,
-        // Only a request that the communication task answers later leads here, from a call that must not wait.
+        // Only a fault in this library leads here: the communication task did not answer at once a request of a call
+        // that must not wait.
         Poll::Pending => Err(wrong_usage()),
     }
 }
 
-/// What a program asks of its communication task. A [`Context`](super::Context) and an
+/// The requests of a program to its communication task. A [`Context`](super::Context) and an
 /// [`AsyncContext`](super::AsyncContext) differ in [`ask`](Self::ask) alone.
 pub(super) trait Calls {
     fn caller(&mut self) -> &mut Caller;
@@ -50,13 +51,14 @@ pub(super) trait Calls {
         false
     }
 
-    /// A message that came for a call that was dropped.
+    /// A message that the task was given for an earlier call whose future was dropped.
     fn kept(&mut self, port: Option<PortId>, source: Option<TaskId>) -> Option<Delivery> {
         let _ = (port, source);
         None
     }
 
-    /// A request that is answered at once. Returns how many copies were sent, if it sends any.
+    /// Makes a request that the communication task answers at once. Returns how many copies were sent, if the request
+    /// sends any.
     async fn accepted(&mut self, request: Request) -> Result<u16, TaskError> {
         match self.ask(request).await?.0 {
             Signal::Accepted(copies) => Ok(copies),
@@ -64,7 +66,7 @@ pub(super) trait Calls {
         }
     }
 
-    /// Hands all fragments of a long message but the first to the communication task, and returns the first (D28).
+    /// Hands the fragments of a long message, except the first, to the communication task. Returns the first fragment (D28).
     async fn staged(
         &mut self,
         port: PortId,
@@ -291,7 +293,7 @@ pub(super) fn ticks(length: Duration) -> Ticks {
     Ticks(clock::micros(length))
 }
 
-/// Only a fault in the machine leads here.
+/// Only a fault in the state machine leads here.
 #[cold]
 pub(super) fn mismatch(request: &Request, signal: &Signal) -> ! {
     panic!("the communication task answered {request:?} with {signal:?}")

@@ -12,7 +12,8 @@ type OnMessage<S> = Rc<dyn Fn(&mut Context<S>, Delivery) -> Result<(), TaskError
 type OnTimer<S> = Rc<dyn Fn(&mut Context<S>) -> Result<(), TaskError>>;
 type OnTakeover<S> = Rc<dyn Fn(&mut Context<S>, u8) -> Result<(), TaskError>>;
 
-/// The handlers of a task. Shared while they run, because a handler may interrupt itself if its message outranks it.
+/// The handlers of a task. They are shared while they run: a message that outranks a running handler may call the same
+/// handler again.
 pub(super) struct Handlers<S> {
     messages: Vec<(PortId, OnMessage<S>)>,
     timers: Vec<(TimeId, OnTimer<S>)>,
@@ -76,7 +77,7 @@ impl<S> Default for Handlers<S> {
 /// # assert!(ends.iter().all(|(_, end)| *end == imrs_runtime::TaskEnd::Returned), "{ends:?}");
 /// ```
 impl<S> Context<S> {
-    /// From here on, the handler takes the messages of this port: [`receive`](Context::receive) without a port skips it.
+    /// From this call on, the handler takes the messages of this port: [`receive`](Context::receive) without a port skips it.
     ///
     /// # Errors
     /// [`Fault::WrongUsage`] if the task does not receive on this port.
@@ -91,8 +92,8 @@ impl<S> Context<S> {
         Ok(())
     }
 
-    /// Answers each query or command of this port with what the handler returns. An answer that comes too late is dropped: its
-    /// sender has its outcome already.
+    /// Answers each query or command of this port with what the handler returns. An answer that comes too late is
+    /// dropped: the sender of the request has its outcome already.
     ///
     /// # Errors
     /// As [`on_message`](Self::on_message); when the handler runs, [`TaskError::NotThisType`].
@@ -121,7 +122,7 @@ impl<S> Context<S> {
         Ok(())
     }
 
-    /// Sets what is done when this timer of the task ends (Figure 3).
+    /// Sets the handler that runs when this timer of the task ends (Figure 3).
     pub fn on_timer(
         &mut self,
         timer: TimeId,
@@ -150,18 +151,20 @@ impl<S> Context<S> {
         at_once(self.accepted(Request::Stop { id: timer })).map(|_| ())
     }
 
-    /// Sets what is done when the task loses its lease. The handler outranks everything, `atomic` sections too. Whatever the
-    /// program then sends on a port under the lease is refused with [`Fault::Fenced`], even without a handler.
+    /// Sets the handler that runs when the task loses its lease. The handler outranks everything, `atomic` sections
+    /// too. A message that the program then sends on a port under the lease is refused with [`Fault::Fenced`], even
+    /// without a handler.
     pub fn on_fence(&mut self, handler: impl Fn(&mut Self) -> Result<(), TaskError> + 'static) {
         self.handlers.fence = Some(Rc::new(handler));
     }
 
-    /// Sets what a standby does when it takes over, under its new epoch.
+    /// Sets the handler that runs when a standby takes over. The handler gets the new epoch.
     pub fn on_takeover(&mut self, handler: impl Fn(&mut Self, u8) -> Result<(), TaskError> + 'static) {
         self.handlers.takeover = Some(Rc::new(handler));
     }
 
-    /// A statement boundary: handlers that outrank the task's thread run here. For loops that compute without waiting.
+    /// A statement boundary: handlers that outrank the task's thread run here. Call this in loops that compute without
+    /// waiting.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -188,7 +191,7 @@ impl<S> Context<S> {
         done
     }
 
-    /// Runs the handler for `call`. The answer was given `age` ago.
+    /// Runs the handler for `call`. The communication task gave the call out, and `age` is the time since then.
     pub(super) fn interrupted(&mut self, call: Call, age: Ticks) -> Result<(), TaskError> {
         let atomic = std::mem::take(&mut self.caller.atomic);
         self.caller.depth += 1;

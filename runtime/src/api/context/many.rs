@@ -11,14 +11,14 @@ use std::time::Duration;
 pub const MANY: usize = 64;
 
 impl<S> Context<S> {
-    /// Waits as [`receive`](Self::receive) does, then takes the next most urgent messages that are there, as so many
-    /// [`poll`](Self::poll)s would: at most `limit`, and at most [`MANY`] at once. Adds them to `messages`, the most urgent
-    /// first, and returns how many; zero says that the time_out ended first. A message of several packets is the last one taken,
-    /// so that it can be [`read`](Self::read).
+    /// Waits as [`receive`](Self::receive) does, then takes the most urgent of the messages that wait, as repeated
+    /// calls of [`poll`](Self::poll) would: at most `limit`, and at most [`MANY`] at once. Adds the messages to
+    /// `messages`, the most urgent first, and returns how many; zero says that the time_out ended first. A message of
+    /// several packets is the last one taken, so that it can be [`read`](Self::read).
     ///
-    /// For streams: no other thread gets at the task's ports between two of these messages, which is most of what taking a
-    /// message costs while others send. What comes meanwhile is taken in, too, but a more urgent message stands behind those that
-    /// were taken before it.
+    /// For streams of messages. No other thread reaches the task's ports between two of these messages; while other
+    /// threads send, waiting for them is most of the cost of taking a message. Messages that arrive meanwhile are
+    /// taken, too, but a more urgent one stands behind those that were taken before it.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -60,7 +60,7 @@ impl<S> Context<S> {
         }
     }
 
-    /// Adds the messages that were taken from the ports to the list that the program gets.
+    /// Adds the messages that this call took from the ports to the program's list.
     fn hand_over(&mut self, taken: &[(Micros, Delivery)], messages: &mut Vec<Delivery>) {
         let now = if taken.is_empty() { 0 } else { clock::now() };
         for (at, message) in taken {

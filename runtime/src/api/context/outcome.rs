@@ -9,7 +9,7 @@ pub enum TaskError {
     /// The node stops: the program should return.
     #[error("the node stops")]
     Stopped,
-    /// The request is at fault; nothing was done.
+    /// The request is wrong; the communication task did nothing.
     #[error("{0}")]
     Fault(#[from] RequestFault),
     /// The cell has no port of this name, or the task is no party of it.
@@ -21,16 +21,16 @@ pub enum TaskError {
     /// The message does not fit into the packets of the port's format.
     #[error("a message of {0} bytes is longer than its port's format allows")]
     TooLong(usize),
-    /// More ports in one `order` than it has levels.
+    /// One `order` names more ports than there are levels.
     #[error("`order` ranks at most 8 ports, not {0}")]
     TooManyLevels(usize),
-    /// The bytes that came are no message of the type that the program reads.
+    /// The received bytes are no message of the type that the program reads.
     #[error("{0} bytes arrived that are not a `{1}`: check that both ends use the port's format")]
     NotThisType(usize, &'static str),
     /// A field holds a value that no message can hold: a real that is not finite.
     #[error("a `{0}` with a real that is not finite cannot be sent")]
     NotSendable(&'static str),
-    /// The task took another message since, so the fragments of this one are gone.
+    /// The task has taken another message since, so the fragments of this message are gone.
     #[error("only the message that was taken last can be read whole")]
     Gone,
     /// The timer to be started has no handler.
@@ -78,16 +78,17 @@ fn explain(fault: &Fault) -> &'static str {
 #[must_use = "a command that was not answered may or may not have run"]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sent {
-    /// Class 1: how many copies were accepted. What becomes of them is not reported.
+    /// Class 1: how many copies were accepted. Whether they arrive is not reported.
     Copies(u16),
-    /// Class 2: how it ended.
+    /// Class 2: the outcome.
     Outcome(Outcome),
-    /// Class 2 to several tasks: how it ended at each.
+    /// Class 2 to several tasks: the outcome for each task.
     Several(Answers),
 }
 
 impl Sent {
-    /// The answer to a class-2 message to one task, if there is one; of a longer answer, the first packet.
+    /// The answer to a class-2 message to one task, if there is one. Of an answer of several packets this is the first
+    /// packet.
     #[must_use]
     pub fn reply(self) -> Option<Contents> {
         match self {
@@ -104,20 +105,20 @@ impl Sent {
     }
 }
 
-/// How a query or a command ended, with its answer. A `match` must say what the program does in each case: after two of them the
-/// other task may have acted.
+/// How a query or a command ended, with its answer. A `match` must say what the program does in each case: in two of
+/// them, `TimedOutUnknown` and `PeerRestarted`, the other task may have acted.
 #[must_use = "a command that was not answered may or may not have run"]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Asked<M = Bytes> {
     /// The answer.
     Reply(M),
-    /// No space at the destination or on the route; it did not run.
+    /// There was no room at the destination or on the route; the command did not run.
     Refused,
-    /// The time_out ended and no copy ever left this node; it did not run.
+    /// The time_out ended and no copy ever left this node; the command did not run.
     TimedOutUnsent,
-    /// The time_out ended without an answer; it may have run.
+    /// The time_out ended without an answer; the command may have run.
     TimedOutUnknown,
-    /// The destination's node restarted meanwhile; it may have run.
+    /// The destination's node restarted before the answer came; the command may have run.
     PeerRestarted,
 }
 
@@ -148,11 +149,11 @@ pub struct Received<M> {
     pub message: M,
     /// Names the message for a reply, and its sender.
     pub from: ReplyTo,
-    /// Its remaining time, in microseconds: for a command, the execution budget.
+    /// The remaining time of the message, in microseconds: for a command, the execution budget.
     pub budget: Ticks,
 }
 
-/// How a `waitfor` ended (§4.3). Both ends are normal: every program says what it does on time_out.
+/// How a `waitfor` ended (§4.3). Both outcomes are normal: every program says what it does on time_out.
 ///
 /// ```
 /// use imrs_protocol::{Cell, CellTable, PortDecl, Ticks, Usage};

@@ -1,31 +1,33 @@
-//! Bounds how long a datagram took, without any common clock (D20).
+//! Bounds how long a datagram took on its link, without any common clock (D20).
 //!
-//! Let `offset` be this node's clock minus the sender's. A datagram that left at `tx` (sender's clock) and was received at `recv`
-//! (this node's clock) took `(recv - tx) - offset`. The offset is unknown, but every echo bounds it from below: at the sender's
-//! `tx` this node's clock had already reached `echo`, so `offset >= echo - tx`. With the best such bound, a datagram took at most
-//! `(recv - tx) - bound`: the round trip of the best echo, plus how much later this datagram came than the one with that echo. A
-//! sender that was stopped between reading its clock and sending cannot hide it.
+//! Let `offset` be this node's clock minus the sender's. A datagram that left at `tx` (sender's clock) and that this
+//! node received at `recv` (this node's clock) took `(recv - tx) - offset`. The offset is unknown, but every echo
+//! bounds it from below: at the instant `tx` of the sender's clock, this node's clock had already reached `echo`, so
+//! `offset >= echo - tx`. With the best such bound, a datagram took at most `(recv - tx) - bound`. That is the round
+//! trip of the best echo, plus by how much more this datagram was late than the datagram with that echo. A sender that
+//! was stopped between reading its clock and sending cannot hide that time.
 //!
-//! Two clocks may drift apart by [`DRIFT_PPM`], so a bound weakens with age. Any newer bound that is no weaker by then replaces
-//! it.
+//! Two clocks may drift apart by [`DRIFT_PPM`], so a bound weakens with age. A newer bound replaces an older one that
+//! has become weaker than the newer one, or as weak.
 //!
-//! Before the first echo there is only the declared bound: the fastest recent datagram is assumed to have kept it.
+//! Before the first echo there is only the declared bound of the link: this module assumes that the fastest recent
+//! datagram has kept that bound.
 
 use imrs_protocol::Ticks;
 
 /// How fast two monotonic clocks may drift apart, in parts per million: each may deviate by 200 from true time.
 pub(super) const DRIFT_PPM: u64 = 400;
-/// By how many microseconds the rounding of four clock readings may be wrong.
+/// The rounding of four clock readings adds up to at most this many microseconds.
 const ROUNDING: i64 = 4;
 
-/// What is known of the delay of datagrams from one neighbour, in one incarnation of that neighbour. Clocks are in
-/// microseconds, each from its own origin.
+/// What this node knows about the delay of datagrams from one neighbour, in one incarnation of that neighbour. Clocks
+/// are in microseconds, each from its own origin.
 #[derive(Clone, Debug)]
 pub(super) struct LinkDelay {
     declared: i64,
-    /// The best lower bound of the offset from an echo.
+    /// The best lower bound of the clocks' offset that an echo gave.
     proven: Option<Sample>,
-    /// The least recent `recv - tx`.
+    /// The least `recv - tx` of the recent datagrams.
     fastest: Option<Sample>,
 }
 
@@ -58,7 +60,7 @@ impl LinkDelay {
         {
             self.proven = None;
         }
-        // An echo from this node's future counts as none.
+        // An echo from the future of this node's clock does not count.
         if let Some(echo) = echo.filter(|&echo| echo <= recv) {
             let value = echo.wrapping_sub(tx).cast_signed();
             if self.proven.is_none_or(|p| value >= p.value.saturating_sub(p.drift(recv))) {
@@ -87,7 +89,7 @@ mod tests {
     #[test]
     fn a_stopped_sender_yields_old_datagrams() {
         let mut d = LinkDelay::new(DECLARED);
-        // In this test the offset is 1,000,000; each way takes 60 us; an echo is held for 1 ms.
+        // In this test the offset of the clocks is 1,000,000; each way takes 60 us; an echo is held for 1 ms.
         assert_eq!(d.arrived(1_000, Some(1_000_940), 1_001_060), Ticks(120 + 4));
         assert_eq!(d.arrived(3_000, None, 1_003_060), Ticks(120 + 4));
         // Here 500 ms pass between the sender's reading of its clock and its `sendto`.
@@ -114,7 +116,7 @@ mod tests {
         assert_eq!(d.arrived(1_000, Some(1_000_940), 1_001_060), Ticks(120 + 4));
         // A datagram whose clock is mistaken claims an offset that is a second too large.
         d.arrived(0, Some(2_000_000), 2_000_060);
-        // The next datagram shows that this is wrong, and how long it took itself.
+        // The next datagram shows that the claimed offset is wrong, and how long the datagram itself took.
         assert_eq!(d.arrived(2_000_000, Some(2_999_940), 3_000_060), Ticks(120 + 4));
     }
 
@@ -133,7 +135,7 @@ mod tests {
             };
             let mut d = LinkDelay::new(DECLARED);
             let mut now = 1_000_000;
-            // The first trip has an echo, because without one the charge depends on the declared bound.
+            // The first round trip has an echo, because without an echo the charge depends on the declared bound.
             for (i, (out, back, held, echoed)) in trips.into_iter().enumerate() {
                 let (sent, heard) = (now, now + out);
                 let tx = theirs(heard + held);

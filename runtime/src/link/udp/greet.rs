@@ -36,16 +36,16 @@ impl UdpLink {
         Digests { cell: self.table.digest(), statements: self.options.statements }
     }
 
-    /// Greets every neighbour that has an address and was not heard since that address was set. The answer shows whether the
-    /// two nodes can communicate. It also makes the neighbour know the new session of this node before its first packet.
-    /// Returns whether any neighbour was greeted.
+    /// Greets every neighbour that has an address and from which this node has accepted nothing since that address was
+    /// set. The answer shows whether the two nodes can communicate. The greeting also tells the neighbour the new
+    /// session of this node before its first packet. Returns whether this greeted any neighbour.
     pub fn greet(&self) -> bool {
         let mut any = false;
         let unmet = |(_, peer): &(usize, &Peer)| !peer.met.load(Ordering::Relaxed);
         for (position, peer) in self.peers.iter().enumerate().filter(unmet) {
             if let Some(route) = &mut *lock(&peer.route) {
                 any = true;
-                // When the address was set, there may have been no route to it.
+                // When the address was set, the kernel may have had no route to it.
                 if route.connected.is_none() {
                     route.connected = self.connected(position, route.address);
                 }
@@ -56,9 +56,9 @@ impl UdpLink {
         any
     }
 
-    /// Asks the neighbours which incarnations of this node they remember, at most for `within` or until all that have an address
-    /// have answered. For a node that cannot trust its own record: call it before [`set_incarnation`](Self::set_incarnation), and
-    /// before a node runs on the link.
+    /// Asks the neighbours which incarnations of this node they remember, at most for `within` or until all neighbours
+    /// with an address have answered. A node that cannot trust its own record of its incarnation calls this before
+    /// [`set_incarnation`](Self::set_incarnation), and before it runs on the link.
     ///
     /// Returns the answer of each neighbour that answered.
     pub fn ask_incarnations(&self, within: Duration) -> Vec<(NodeId, Option<Incarnation>)> {
@@ -81,9 +81,9 @@ impl UdpLink {
             }
             self.poll(&Deaf(self), Some(ask_at.min(end)));
         }
-        // A process that stood still may find its time over, while the answers wait in its socket.
+        // A process that was stopped may find that `within` has passed, while the answers wait in its socket.
         self.poll(&Deaf(self), Some(Instant::now()));
-        // Once the node runs, it must hear its neighbours anew, and greet all of them with its own incarnation.
+        // Once the node runs, it must meet its neighbours anew, and greet all of them with its own incarnation.
         for peer in &self.peers {
             *lock(&peer.known) = None;
             peer.met.store(false, Ordering::Relaxed);
@@ -92,13 +92,13 @@ impl UdpLink {
         said.collect()
     }
 
-    /// Whether there is a neighbour to which something can be sent.
+    /// Whether any neighbour has an address, so that this node can send to it.
     #[must_use]
     pub fn has_addresses(&self) -> bool {
         self.peers.iter().any(|peer| lock(&peer.route).is_some())
     }
 
-    /// The neighbours with which nothing can be exchanged at present, and why.
+    /// The neighbours with which this node cannot communicate at present, and why.
     #[must_use]
     pub fn refusals(&self) -> Vec<Refusal> {
         self.peers.iter().filter_map(|peer| *lock(&peer.refusal)).collect()
@@ -114,7 +114,7 @@ impl UdpLink {
         Ok(peer.met.load(Ordering::Relaxed))
     }
 
-    /// Sends a greeting, unless many greetings left lately or the neighbour has no address.
+    /// Sends a greeting, unless many greetings left shortly before or the neighbour has no address.
     pub(super) fn say(&self, peer: &Peer, greeting: Greeting, heard: Option<Heard>) {
         let now = self.micros(Instant::now());
         if lock(&peer.pace).greets(now) {
@@ -141,7 +141,7 @@ impl UdpLink {
                     .map_err(std::io::Error::other)
                     .and_then(|()| self.transmit(bare.sealed(), route))
             }
-            // Once there is a session, the neighbour is greeted.
+            // There is no session yet. Once there is one, the neighbour is greeted.
             Err(LinkBusy) => return,
         };
         drop(outgoing);
@@ -150,17 +150,18 @@ impl UdpLink {
         }
     }
 
-    /// This node's clock as the sender knew it, if it is of this session.
+    /// The time of this node's clock that the envelope echoes, if the echo is of this session of the node.
     pub(super) fn own_echo(&self, envelope: &Envelope) -> Option<u64> {
         envelope.echo.filter(|echo| echo.session == self.session).map(|echo| echo.mono)
     }
 
-    /// An instant before the datagram was sent, if its echo proves one. An echo from the future proves none.
+    /// An instant of this node's clock before the datagram was sent, if its echo proves one. An echo from the future
+    /// proves none.
     pub(super) fn sent_after(&self, envelope: &Envelope, at: u64) -> Option<u64> {
         self.own_echo(envelope).filter(|&echo| echo <= at)
     }
 
-    /// The neighbour that sent a datagram, if the two can talk. Otherwise both sides learn why not.
+    /// The neighbour that sent a datagram, if the two nodes can communicate. Otherwise both nodes learn why they cannot.
     pub(super) fn sender_of(&self, opened: &Opened<'_>) -> Result<&Peer, LinkDiscard> {
         let sender = self.peer(opened.envelope.sender);
         if let (Purpose::Refusal(why), Some((_, peer)), true) =
@@ -191,7 +192,7 @@ impl UdpLink {
     }
 
     pub(super) fn note_refusal(&self, peer: &Peer, why: Refused, theirs: Digests, here: bool) {
-        // One misdelivered datagram says nothing of the two nodes.
+        // One misdelivered datagram does not show whether the two nodes can communicate.
         if why == Refused::Misdelivered {
             return;
         }
@@ -203,7 +204,7 @@ impl UdpLink {
         peer.is_refused.store(true, Ordering::Release);
     }
 
-    /// Clears a refusal, because the two nodes can communicate.
+    /// Notes that the two nodes can communicate, and clears a refusal.
     pub(super) fn met(&self, peer: &Peer) {
         if !peer.met.load(Ordering::Relaxed) {
             peer.met.store(true, Ordering::Relaxed);

@@ -1,8 +1,9 @@
-//! The sockets from which a link receives: one for each neighbour whose address is known, and one for all others (D155).
+//! The sockets from which a link receives: one for each neighbour whose address is known, and one for all other senders
+//! (D155).
 //!
 //! The kernel gives a datagram to the socket that is connected to its source address. So a flood from elsewhere fills the
-//! socket of strangers, and no other socket. That socket also receives from a neighbour whose address is not known or has
-//! changed. Its datagrams are judged in the same way, but each visit takes fewer of them.
+//! socket of strangers, and no other socket. The socket of strangers also receives from a neighbour whose address is not
+//! known or has changed. Its datagrams are judged like those of other sockets, but each visit to it takes fewer of them.
 
 use super::UdpLink;
 use super::socket;
@@ -14,33 +15,33 @@ use std::net::{SocketAddr, UdpSocket};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// The place of the socket of strangers. The place of a neighbour's socket is the neighbour's position plus one.
+/// The number of the socket of strangers. The number of a neighbour's socket is the neighbour's position plus one.
 pub(super) const STRANGERS: u32 = 0;
 
-/// For how long no thread reads the socket of strangers after a visit that found only an endless flood: a thread that did nothing
-/// but drop a flood would take its core from the tasks.
+/// For how long no thread reads the socket of strangers after a visit that found nothing but a flood. Otherwise the
+/// thread would only drop the flood, and the tasks would lose that core.
 const REST: Duration = Duration::from_millis(1);
 
 /// A socket from which the link receives.
 pub(super) struct Inbound {
     pub(super) socket: UdpSocket,
-    /// The address to which the socket is connected; none for the socket of strangers.
+    /// The address to which the socket is connected; `None` for the socket of strangers.
     pub(super) from: Option<SocketAddr>,
     queue: CombiningLock<Queue>,
 }
 
-/// What is known of a socket's queue in the kernel.
+/// What this node knows about a socket's queue in the kernel.
 pub(super) struct Queue {
-    /// The clocks when the socket was last seen empty.
+    /// Both clocks when the socket was last seen empty.
     pub(super) empty: Reading,
-    /// The clocks when a datagram was last taken.
+    /// Both clocks when a datagram was last taken from the socket.
     pub(super) last: Reading,
     /// The kernel's count of datagrams that found the queue full, since the socket was made; it wraps around.
     pub(super) dropped: u32,
 }
 
 impl Inbound {
-    /// Wraps a socket. `empty` has the clocks from before anything can have come in.
+    /// Wraps a socket. `empty` is a reading of the clocks from before any datagram can have arrived.
     pub(super) fn new(socket: UdpSocket, from: Option<SocketAddr>, empty: Reading) -> Self {
         Self { socket, from, queue: CombiningLock::new(Queue { empty, last: empty, dropped: 0 }) }
     }
@@ -50,8 +51,8 @@ impl Inbound {
         self.from.is_none()
     }
 
-    /// Receives from the socket with `receive`. If another thread is already receiving, that thread receives once more in
-    /// place of this one, and this returns false.
+    /// Receives from the socket with `receive`. If another thread is already receiving, that thread receives once more
+    /// in place of this thread, and the function returns false.
     pub(super) fn try_take_in(&self, mut receive: impl FnMut(&mut Queue)) -> bool {
         let mut is_done = false;
         self.queue.want();
@@ -62,8 +63,8 @@ impl Inbound {
         is_done
     }
 
-    /// As [`try_take_in`](Self::try_take_in), but waits for the other thread. The polling thread uses this: a datagram is
-    /// reported to it until some thread has taken the datagram, so it would otherwise ask again and again.
+    /// As [`try_take_in`](Self::try_take_in), but waits for the other thread. The polling thread calls this: the kernel
+    /// reports a datagram to it until some thread has taken the datagram, so without the wait it would ask again and again.
     pub(super) fn take_in(&self, mut receive: impl FnMut(&mut Queue)) {
         if !self.try_take_in(&mut receive) {
             self.queue.take_after(receive);
@@ -80,7 +81,7 @@ impl UdpLink {
         }
     }
 
-    /// Ends the rest of the socket of strangers if its time is over; otherwise returns the instant at which the rest ends.
+    /// Ends the pause of the socket of strangers if its time is over. Otherwise returns the instant at which the pause ends.
     pub(super) fn end_of_rest(&self) -> Option<Instant> {
         let mut rest = lock(&self.rest);
         if rest.is_some_and(|until| until <= Instant::now()) {
@@ -91,7 +92,7 @@ impl UdpLink {
         *rest
     }
 
-    /// The socket at a place, if there is one.
+    /// The socket with this number, if there is one.
     pub(super) fn inbound(&self, place: u32) -> Option<Arc<Inbound>> {
         match usize::try_from(place).ok()?.checked_sub(1) {
             None => Some(Arc::clone(&self.strangers)),
@@ -99,8 +100,8 @@ impl UdpLink {
         }
     }
 
-    /// The socket that is connected to the address of the neighbour at `position`: the present one, or a new one. `None` if the
-    /// kernel makes none; then the socket of strangers serves the neighbour.
+    /// The socket that is connected to the address of the neighbour at `position`: the present socket, or a new one.
+    /// `None` if the kernel makes none; then the socket of strangers serves the neighbour.
     pub(super) fn connected(&self, position: usize, address: SocketAddr) -> Option<Arc<Inbound>> {
         let mut inbound = lock(&self.peers[position].inbound);
         if inbound.as_ref().is_none_or(|inbound| inbound.from != Some(address)) {
@@ -118,7 +119,7 @@ impl UdpLink {
             socket::connect_beside(&self.strangers.socket, self.local, address, self.asked)?
         };
         let place = u32::try_from(position + 1).map_err(io::Error::other)?;
-        // The order of these two calls matters, because it decides which thread is woken (see `watch`).
+        // The order of these two calls matters, because it decides which thread the kernel wakes (see `watch`).
         self.leader.add(&socket, place)?;
         self.polling.add(&socket, place)?;
         Ok(Inbound::new(socket, Some(address), empty))

@@ -1,4 +1,4 @@
-//! A link whose datagrams are closed by keys (D191): what of the sessions concerns sockets, clocks and threads.
+//! A link whose datagrams are encrypted with keys (D191): the part of the sessions that needs sockets, clocks and threads.
 
 use super::keys::{Answer, Channel, Live, NoRandom, NodeKeys};
 use super::peer::{Peer, Route};
@@ -15,24 +15,25 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-/// How often the polling thread looks whether an attempt at a session has failed.
+/// How often the polling thread checks whether an attempt at a session has failed.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
-/// What closes a datagram.
+/// How a datagram is closed: by a checksum, or by the keys of a session.
 pub(super) enum Closing {
     Checksum,
     Keys(Arc<Live>),
 }
 
-/// A datagram that is one of this link, and the session that it came by.
+/// A datagram for this link, and the session whose keys closed it.
 pub(super) type Unlocked<'a> = (Opened<'a>, Option<Arc<Live>>);
 
 impl UdpLink {
-    /// From now on every datagram is closed by these keys, and no other is heard: a forged, changed or repeated one changes
-    /// nothing. Neighbours need keys of the same cell. Call it before the link is used.
+    /// From now on these keys close every datagram, and the link accepts no other datagrams: a forged, changed or
+    /// repeated one changes nothing. Neighbours need keys of the same cell. Call this before the link is used.
     ///
     /// # Errors
-    /// [`UdpError::NoKey`] without the public key of a neighbour, [`UdpError::NoRandom`] if the system gives no random numbers.
+    /// [`UdpError::NoKey`] if `keys` lacks the public key of a neighbour, [`UdpError::NoRandom`] if the system gives no
+    /// random numbers.
     pub fn with_keys(mut self, keys: &NodeKeys) -> Result<Self, UdpError> {
         let (digests, session, me) = (self.digests(), self.session, self.table.node);
         for (place, peer) in self.peers.iter_mut().enumerate() {
@@ -46,14 +47,14 @@ impl UdpLink {
         Ok(self)
     }
 
-    /// Whether keys close the datagrams.
+    /// Whether keys close the datagrams of this link.
     #[must_use]
     pub const fn has_keys(&self) -> bool {
         self.has_keys
     }
 
-    /// What closes the next datagram to a neighbour. If that takes a session and there is none, or an old one, the neighbour is
-    /// asked for one, by the polling thread again and again.
+    /// What closes the next datagram to a neighbour: a checksum or a session. If a session is needed and there is none,
+    /// or only an old one, the link asks the neighbour for a session, and the polling thread repeats this request.
     ///
     /// # Errors
     /// There is no session yet.
@@ -65,7 +66,7 @@ impl UdpLink {
         closing.ok_or(LinkBusy)
     }
 
-    /// As [`closing`](Self::closing), but the question is not repeated.
+    /// As [`closing`](Self::closing), but the request for a session is not repeated.
     fn asked_closing(&self, peer: &Peer, route: &mut Route, counter: u64) -> Option<Closing> {
         if !self.has_keys {
             return Some(Closing::Checksum);
@@ -79,7 +80,7 @@ impl UdpLink {
         };
         if let Some(hello) = hello {
             self.statistics.add(UdpCount::HandshakesSent, 1);
-            // A lost one is repeated.
+            // If this datagram is lost, it is sent again later.
             let _ = self.transmit(&hello, route);
         }
         session.map(Closing::Keys)
@@ -123,7 +124,8 @@ impl UdpLink {
     /// then everything is done.
     ///
     /// # Errors
-    /// Why it is dropped. Nothing has changed then, except what [`refusals`](Self::refusals) says.
+    /// The reason for which the datagram is dropped. Nothing has changed then, except the result of
+    /// [`refusals`](Self::refusals).
     pub(super) fn unlock<'a>(
         &self,
         bytes: &[u8],
@@ -187,23 +189,25 @@ impl UdpLink {
         }
     }
 
-    /// Sends a datagram of a handshake to the address of a neighbour in the address book, wherever its question came from.
+    /// Sends a datagram of a handshake to the neighbour's address in the address book, whatever address the neighbour's
+    /// request came from.
     fn reply(&self, peer: &Peer, bytes: &[u8]) {
         if let Some(route) = lock(&peer.route).as_mut() {
             self.statistics.add(UdpCount::HandshakesSent, 1);
-            // A lost one is repeated.
+            // If this datagram is lost, it is sent again later.
             let _ = self.transmit(bytes, route);
         }
     }
 
-    /// What waits for a neighbour can leave.
+    /// Notes a new session, so that packets that wait for the neighbour can leave.
     fn session_made(&self) {
         self.address_known.store(true, Ordering::Release);
         self.polling.wake().wake();
     }
 
-    /// With keys: a session that this node has not heard yet was made after all that it heard, if it is still one. Called while
-    /// what is known of the neighbour is locked, so that a late datagram of an ended session does not take over.
+    /// With keys, returns the proof that a datagram is later than everything that this node accepted before: it is of a
+    /// session from which this node has accepted nothing yet, and that session is still valid. Called while what is
+    /// known of the neighbour is locked, so that a late datagram of an ended session does not take over.
     pub(super) fn proof(
         &self,
         peer: &Peer,
@@ -215,12 +219,13 @@ impl UdpLink {
         by.filter(|live| is_new && self.still_has(peer, live)).map(|_| u64::MAX)
     }
 
-    /// Whether a session is still one: not if its neighbour was started again since.
+    /// Whether a session is still valid: it ends if its neighbour is started again.
     fn still_has(&self, peer: &Peer, live: &Arc<Live>) -> bool {
         lock(&peer.channel).as_ref().is_some_and(|channel| channel.has(live))
     }
 
-    /// A node with keys dropped what one without them sent: says so to people if the two have not talked.
+    /// This node has keys and dropped a datagram of a node without keys. If the two nodes have not communicated yet,
+    /// this records a hint for the users.
     fn hint_at_plain(&self, bytes: &[u8]) {
         if let Ok(Opened { envelope: Envelope { sender, .. }, digests, .. }) =
             imrs_wire::envelope::read(bytes)
@@ -229,7 +234,7 @@ impl UdpLink {
         }
     }
 
-    /// A node without keys dropped what one with keys sent.
+    /// This node has no keys and dropped a datagram of a node with keys.
     pub(super) fn hint_at_keys(&self, bytes: &[u8]) {
         if let Ok(Keyed::Handshake(said)) = keyed::read(bytes) {
             self.hint_at_mode(said.sender, self.digests());
@@ -262,7 +267,7 @@ impl UdpLink {
     }
 }
 
-/// The reason for which a datagram is counted that led to a refusal.
+/// The reason under which a datagram that led to a refusal is counted.
 const fn discard(why: Refused, here: bool) -> LinkDiscard {
     match why {
         _ if !here => LinkDiscard::RefusedByPeer,

@@ -1,18 +1,18 @@
 //! The link over UDP.
 //!
-//! Each neighbour whose address is known has a socket of its own, on the node's one address. One more socket serves all
-//! others (`inbound`). Packets that are queued for one neighbour leave in one datagram. A lone packet leaves at once: it
-//! does not wait for others. Several full datagrams leave in one call if the kernel can cut it, and come in one call if the
-//! kernel has merged them. Whatever the socket reports is counted, and never ends the link.
+//! Each neighbour whose address is known has a socket of its own, on the node's one address. One more socket serves all other
+//! senders (`inbound`). Packets that are queued for one neighbour leave in one datagram. A lone packet leaves at once: it
+//! does not wait for others. Several full datagrams leave in one call if the kernel can cut its data into datagrams, and
+//! arrive in one call if the kernel has merged them. Errors that the socket reports are counted, and never end the link.
 //!
-//! An arriving packet is charged the larger of two times: the link's declared bound plus its wait in this node's kernel, and
-//! the time for its whole hop that the clocks in the envelopes show (`delay`). So neither a stopped receiver nor a sender
-//! that was stopped between its clock and `sendto` can make an old packet look young.
+//! An arriving packet is charged the larger of two times: the link's declared bound plus its wait in this node's
+//! kernel, and the time for its whole hop that the clocks in the envelopes show (`delay`). So a packet never looks
+//! younger than it is, even if its receiver was stopped, or its sender between the reading of the clock and `sendto`.
 //!
-//! Addresses come only from the address book, never from traffic. A datagram is judged by its content (digests, sender, receiver,
-//! session, counter), not by its source address: a neighbour behind another port is heard, but no sender draws traffic to itself.
-//! In the envelope's checksum mode this keeps out accidents, not attackers: a process that reaches the socket can forge datagrams.
-//! With keys ([`UdpLink::with_keys`]) it keeps out both (D191).
+//! Addresses come only from the address book, never from traffic. A datagram is judged by its content (digests, sender,
+//! receiver, session, counter), not by its source address: this node accepts datagrams of a neighbour that sends from another
+//! port, but no sender draws traffic to itself. In the envelope's checksum mode this protects from accidents, not from
+//! attackers: a process that reaches the socket can forge datagrams. Keys ([`UdpLink::with_keys`]) protect from both (D191).
 
 mod delay;
 mod greet;
@@ -56,29 +56,29 @@ const ROOMS: usize = 16;
 
 /// A UDP link of one node to all its neighbours.
 ///
-/// [`bind`](Self::bind) it, tell the neighbours its [`local_address`](Self::local_address), and enter theirs with
-/// [`set_address`](Self::set_address), which may be repeated at any time. To a neighbour without an address the link is not
-/// ready: packets stay in the transit buffer, and those that expire there never left.
+/// [`bind`](Self::bind) it, tell the neighbours its [`local_address`](Self::local_address), and set their addresses with
+/// [`set_address`](Self::set_address), which may be called again at any time. The link is not ready for a neighbour without
+/// an address: packets for it stay in the transit buffer, and a packet that expires there has never left.
 pub struct UdpLink {
     table: NodeTable,
     options: UdpOptions,
-    /// The incarnation, and whether an earlier one may have taken requests.
+    /// The incarnation of the node, and whether an earlier incarnation may have taken requests.
     identity: AtomicU16,
     /// Whether the node does not know its incarnation yet, so that it asks its neighbours.
     uncounted: AtomicBool,
     session: Session,
-    /// Whether keys close the datagrams.
+    /// Whether keys close the datagrams of this link.
     has_keys: bool,
-    /// Whether a neighbour was asked for a session and has not answered, as far as is known.
+    /// Whether a neighbour may still owe an answer to a request for a session.
     knocks: AtomicBool,
     /// The socket that was bound first. It receives what no neighbour's socket receives.
     strangers: Arc<Inbound>,
-    /// The options of every receiving socket.
+    /// The socket options that every receiving socket asks for.
     asked: Asked,
     /// A lock that is held while another socket is bound to the node's address.
     binding: Mutex<()>,
     local: SocketAddr,
-    /// Whether the kernel can cut what is sent into datagrams.
+    /// Whether the kernel can cut the data of one call into datagrams.
     segments: bool,
     /// The epoll instance in which the leader waits.
     leader: Watch,
@@ -86,9 +86,9 @@ pub struct UdpLink {
     polling: Watch,
     /// Until when no thread reads the strangers' socket, because there was a flood.
     rest: Mutex<Option<Instant>>,
-    /// The sockets that were reported to the leader, and from which it has not received yet.
+    /// The sockets that the kernel reported to the leader, and from which the leader has not received yet.
     told: Mutex<ReadySockets>,
-    /// Receive buffers, one for each receiving thread: the polling one, the leader, and threads that spin before they sleep.
+    /// Receive buffers, one for each receiving thread: the polling thread, the leader, and threads that spin before they sleep.
     rooms: Mutex<Vec<Room>>,
     /// All neighbours, ascending by node id.
     peers: Box<[Peer]>,
@@ -96,9 +96,9 @@ pub struct UdpLink {
     poll_changed: Condvar,
     /// Whether the kernel was found to take no more datagrams for some neighbour.
     blocked: AtomicBool,
-    /// Whether [`Link::wake`] was called and no poll has ended for it yet.
+    /// Whether [`Link::wake`] was called, and no poll has ended for that reason yet.
     woken: AtomicBool,
-    /// Whether a neighbour got an address and no poll has ended for it yet.
+    /// Whether a neighbour got an address, and no poll has ended for that reason yet.
     address_known: AtomicBool,
     /// The origin of the clock that this node's envelopes show.
     origin: Instant,
@@ -116,10 +116,10 @@ fn new_session() -> Session {
     Session(RandomState::new().hash_one(Instant::now()))
 }
 
-/// The turn to poll: one thread at a time polls, and the others wait until it leaves.
+/// The right to poll: one thread at a time polls, and the other threads wait until it stops.
 struct Poll {
     taken: bool,
-    /// How many threads wait for their turn.
+    /// How many threads wait for the right to poll.
     waiting: usize,
     /// How often the link was woken.
     wakes: u64,
@@ -176,8 +176,8 @@ impl UdpLink {
         self.local
     }
 
-    /// Sets the address of a neighbour, or that it is not known. From now on, packets that wait for the neighbour can leave,
-    /// and datagrams from the address come to a socket of their own.
+    /// Sets the address of a neighbour; `None` says that it is not known. From now on, packets that wait for the
+    /// neighbour can leave, and datagrams from the address come to a socket of their own.
     ///
     /// # Errors
     /// [`NotANeighbour`] if the node is no neighbour.
@@ -232,7 +232,7 @@ impl UdpLink {
     /// Waits until no other thread polls.
     ///
     /// # Errors
-    /// The reason for which the wait ended without the turn.
+    /// The reason for which the wait ended without the right to poll.
     fn take_poll(&self, until: Option<Instant>) -> Result<OwnPoll<'_>, PollEnd> {
         let mut poll = lock(&self.poll);
         let wakes = poll.wakes;
@@ -258,7 +258,7 @@ impl UdpLink {
         }
     }
 
-    /// Waits for a datagram, for a wake-up or, if the kernel took no more for a neighbour, until it may: then returns `None`.
+    /// Waits for a datagram or a wake-up. Returns `None` once a socket that was full takes datagrams again.
     fn wait(&self, until: Option<Instant>) -> io::Result<Option<Seen>> {
         loop {
             let pause = [self.end_of_rest(), self.knock()].into_iter().flatten().min();
@@ -287,7 +287,7 @@ impl UdpLink {
             match socket::wait_for_room(self.polling.epoll(), &full, until)? {
                 Waited::Writable => return Ok(None),
                 Waited::TimedOut => return Ok(Some(Seen::TimedOut)),
-                // Another thread may have taken the datagram meanwhile.
+                // Another thread may have taken the datagram since the kernel reported it.
                 Waited::ReadySockets => match self.polling.wait_some(Some(Duration::ZERO))? {
                     Some(Seen::TimedOut) | None => {}
                     seen => return Ok(seen),
@@ -302,11 +302,11 @@ impl UdpLink {
         std::thread::sleep(Duration::from_millis(1));
     }
 
-    /// Whether the event counter ends the poll, or only makes the poll look at the socket again.
+    /// Whether the event counter ends the poll, or only makes the poll check the socket again.
     fn end_of_wake(&self) -> Option<PollEnd> {
         if self.address_known.swap(false, Ordering::AcqRel) {
             if self.woken.load(Ordering::Acquire) {
-                // Each of the two causes must end a poll of its own, so this wakes the next poll, too.
+                // Each of the two causes must end a poll of its own. So this also ends the next poll.
                 self.polling.wake().wake();
             }
             return Some(PollEnd::Ready);
@@ -315,7 +315,7 @@ impl UdpLink {
     }
 }
 
-/// The turn of a thread to poll. It ends when this value is dropped, also if a sink panics.
+/// A thread's right to poll. It ends when this value is dropped, also if a sink panics.
 struct OwnPoll<'a> {
     link: &'a UdpLink,
 }

@@ -15,12 +15,12 @@ pub struct UdpOptions {
     pub incarnation: Incarnation,
     /// Whether an earlier incarnation of the node may have taken requests. The node tells this to its neighbours.
     pub restarted: bool,
-    /// The digest of the statements of all tasks of the cell ([`record::statements`](crate::record::statements)), zero if no
-    /// task has a script. Nodes with different digests refuse each other.
+    /// The digest of the statements of all tasks of the cell ([`record::statements`](crate::record::statements)), or
+    /// zero if no task has a script. Nodes with different digests refuse each other.
     pub statements: u32,
-    /// How many bytes each of the kernel's receive queues holds (SO_RCVBUF; the kernel doubles it for its own needs). There
-    /// is one queue for each neighbour and one for all others. A queue that holds more than arrives within the longest
-    /// time_out is of no use.
+    /// How many bytes each of the kernel's receive queues holds (SO_RCVBUF; the kernel doubles it for its own needs).
+    /// There is one queue for each neighbour and one for all other senders. A queue that holds more than arrives within
+    /// the longest time_out is of no use.
     pub queue_bytes: usize,
     /// Whether the kernel, if it can, cuts the data of one call into datagrams (UDP_SEGMENT, Linux 4.18), and merges
     /// datagrams that come from one neighbour (UDP_GRO, Linux 5.0).
@@ -46,7 +46,7 @@ pub enum UdpError {
         /// The error of the operating system.
         source: io::Error,
     },
-    /// The socket does not take an option.
+    /// The system refused an option of the socket.
     #[error("cannot set {option} on a UDP socket: {source}")]
     Option {
         /// The option that the system refused.
@@ -60,7 +60,7 @@ pub enum UdpError {
     /// The keys lack the public key of a neighbour.
     #[error("there is no public key of node {0}, which is a neighbour")]
     NoKey(NodeId),
-    /// No keys of sessions can be made.
+    /// The system gives no random numbers for the keys of sessions.
     #[error("the system gives no random numbers")]
     NoRandom,
 }

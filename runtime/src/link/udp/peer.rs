@@ -17,36 +17,37 @@ pub(super) struct Peer {
     /// The declared bound of the link to the neighbour, in microseconds.
     pub(super) declared: Ticks,
     pub(super) route: Mutex<Option<Route>>,
-    /// The socket that is connected to the neighbour. It still receives when the address is no longer known.
+    /// The socket that is connected to the neighbour. It still receives after the neighbour's address became unknown.
     pub(super) inbound: Mutex<Option<Arc<Inbound>>>,
     /// The neighbour's session, as the receiving threads know it. The lock is held while a datagram of the neighbour is
-    /// judged and recorded, because two may come at once: one over the neighbour's own socket, and one over that of
-    /// strangers.
+    /// judged and recorded, because two datagrams may arrive at once: one over the neighbour's own socket, and one over
+    /// the socket of strangers.
     pub(super) known: Mutex<Option<Known>>,
-    /// Whether the kernel was found to take no more datagrams for this neighbour. The neighbour may be unreachable, so this
-    /// says nothing about others.
+    /// Whether the kernel was found to take no more datagrams for this neighbour. The reason may be that this neighbour
+    /// is unreachable, so this does not concern other neighbours.
     pub(super) full: AtomicBool,
     pub(super) outgoing: Mutex<Outgoing>,
     /// The neighbour's clock, as its last datagram showed it.
     pub(super) heard: Mutex<Option<Heard>>,
     /// Whether any datagram of the neighbour was accepted since its address was set.
     pub(super) met: AtomicBool,
-    /// The newest incarnation of the neighbour that was seen in its envelopes, or in packets that others relayed.
-    /// [`NOTHING`] before the first.
+    /// The newest incarnation of the neighbour that was seen in its envelopes, or in packets that other nodes relayed.
+    /// [`NOTHING`] before any was seen.
     remembered: AtomicU16,
     /// The incarnation of this node that the neighbour remembers; the outer option is empty until the neighbour has
     /// answered.
     pub(super) remembers: Mutex<Option<Option<Incarnation>>>,
-    /// The present refusal: set if a datagram was refused after the last one that was accepted.
+    /// The present refusal: there is one if a datagram was refused after the last accepted datagram.
     pub(super) refusal: Mutex<Option<Refusal>>,
     /// Whether `refusal` has a value.
     pub(super) is_refused: AtomicBool,
     pub(super) pace: Mutex<Pace>,
-    /// The sessions with keys, if the link has keys. Locked last, and for as long as no datagram is sent or taken in.
+    /// The sessions with keys, if the link has keys. This lock is taken last, and never held while a datagram is sent
+    /// or received.
     pub(super) channel: Mutex<Option<Channel>>,
 }
 
-/// The datagrams that are being built for a neighbour, and the counter of the first.
+/// The datagrams that are being built for a neighbour, and the counter of the first of them.
 #[derive(Default)]
 pub(super) struct Outgoing {
     pub(super) counter: u64,
@@ -54,12 +55,12 @@ pub(super) struct Outgoing {
     pub(super) datagrams: Vec<Datagram>,
 }
 
-/// A neighbour with which nothing can be exchanged.
+/// A neighbour with which this node cannot communicate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Refusal {
     /// The neighbour whose datagrams were refused.
     pub node: NodeId,
-    /// Why the two nodes cannot exchange anything.
+    /// Why the two nodes cannot communicate.
     pub why: Refused,
     /// The neighbour's digests.
     pub theirs: Digests,
@@ -74,9 +75,10 @@ const NOTHING: u16 = u16::MAX;
 
 /// The route to one neighbour: its address, and a socket that is connected to it.
 ///
-/// The connected socket sends and receives. The kernel looks up the route once, and reports there that no socket listens at the
-/// address (ECONNREFUSED). If the connected socket fails, the socket of strangers sends, from the same address. If it is full,
-/// nothing sends: datagrams that the kernel holds for an unresolved neighbour would fill the socket of strangers, too.
+/// The connected socket sends and receives. The kernel looks up the route once, and reports on this socket if no socket
+/// listens at the address (ECONNREFUSED). If the connected socket fails, the socket of strangers sends, from the same
+/// address. If the connected socket is full, no socket sends: datagrams that the kernel holds for an unresolved
+/// neighbour would fill the socket of strangers, too.
 pub(super) struct Route {
     pub(super) address: SocketAddr,
     pub(super) connected: Option<Arc<Inbound>>,
@@ -99,8 +101,8 @@ impl Route {
         Self { address, connected, segments }
     }
 
-    /// The socket that cuts what it sends into datagrams of `full` bytes, if the kernel does that on this route. The option is set on the
-    /// socket, not with each call, because it does not touch what fits into one datagram.
+    /// The socket that cuts what it sends into datagrams of `full` bytes, if the kernel does that on this route. The
+    /// option is set on the socket, not with each call, because it does not affect data that fits into one datagram.
     pub(super) fn segmenting(&mut self, full: usize) -> Option<&UdpSocket> {
         let socket = &self.connected.as_deref()?.socket;
         if self.segments == Segments::NotYet {
@@ -110,7 +112,7 @@ impl Route {
         (self.segments == Segments::Cut).then_some(socket)
     }
 
-    /// Lets each datagram leave by itself from now on. Returns false if that was already so.
+    /// Makes each datagram leave in a call of its own from now on. Returns false if that was already so.
     pub(super) fn segment_no_more(&mut self) -> bool {
         let cut = std::mem::replace(&mut self.segments, Segments::Refused) == Segments::Cut;
         if let Some(connected) = self.connected.as_deref().filter(|_| cut) {
@@ -153,12 +155,12 @@ impl Peer {
             let before = u8::try_from(before).ok().map(Incarnation);
             before.is_none_or(|before| supersedes(incarnation, before)).then(|| incarnation.0.into())
         };
-        // This fails only if the incarnation is no later one, and then nothing needs to change.
+        // This fails only if the known incarnation is as late or later, and then nothing needs to change.
         let _ = self.remembered.fetch_update(Ordering::Relaxed, Ordering::Relaxed, later);
     }
 }
 
-/// The neighbour's clock, as a datagram showed it, and this node's clock at that time.
+/// The neighbour's clock, as a datagram showed it, and this node's clock when that datagram was received.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Heard {
     pub(super) session: Session,
@@ -167,13 +169,13 @@ pub(super) struct Heard {
 }
 
 impl Heard {
-    /// The least that the neighbour's clock shows when this node's clock shows `tx`. The time in between is measured with a
-    /// clock that may run faster than the neighbour's.
+    /// The least that the neighbour's clock shows when this node's clock shows `tx`. The time since the neighbour's
+    /// last datagram is measured with a clock that may run faster than the neighbour's.
     pub(super) fn echo(&self, tx: u64) -> Option<Echo> {
         let drift = |time: u64| time / (1_000_000 / DRIFT_PPM) + 1;
         let mono = match tx.checked_sub(self.at) {
             Some(held) => self.tx_mono.checked_add(held.saturating_sub(drift(held)))?,
-            // The packets were made ready before anything was heard from the neighbour.
+            // The packets were made ready before this node received the neighbour's datagram.
             None => self.tx_mono.checked_sub((self.at - tx) + drift(self.at - tx))?,
         };
         Some(Echo { session: self.session, mono })
@@ -185,7 +187,7 @@ impl Heard {
 pub(super) struct Pace {
     /// When the present span began, and how many greetings left in it.
     greetings: (u64, u32),
-    /// The same for answers in handshakes.
+    /// When the present span of answers in handshakes began, and how many answers left in it.
     answers: (u64, u32),
     /// When the last refusal left.
     refused: Option<u64>,
@@ -193,9 +195,9 @@ pub(super) struct Pace {
 
 /// How many greetings leave in one [`SPAN`], at most.
 const GREETINGS: u32 = 8;
-/// How many answers in handshakes leave in one [`SPAN`], at most: a repeated question gets one.
+/// How many answers in handshakes leave in one [`SPAN`], at most. Each copy of a request gets an answer of its own.
 const ANSWERS: u32 = 64;
-/// The length of a span, in microseconds.
+/// The length of a span of this limit, in microseconds.
 const SPAN: u64 = 50_000;
 /// The least time between two refusals, in microseconds.
 const REFUSE_EVERY: u64 = 200_000;

@@ -1,4 +1,4 @@
-//! Receives datagrams: from the socket to the sink.
+//! Receives datagrams: from a socket of the kernel to the sink of the node.
 
 use super::UdpLink;
 use super::inbound::{Inbound, Queue};
@@ -23,22 +23,22 @@ use std::time::Duration;
 
 /// After how many datagrams of one socket a poll turns to the other sockets, and to the other work of its thread.
 const BATCH: usize = 64;
-/// The same limit for the socket of strangers: at most so many of its datagrams keep neighbours waiting.
+/// The same limit for the socket of strangers: neighbours wait for at most this many of its datagrams.
 const STRANGERS_BATCH: usize = 16;
-/// How long ago the socket may have been seen empty before a thread that takes one datagram looks for more datagrams.
+/// If a socket was seen empty within this time, a thread takes only one datagram from it, otherwise up to [`BATCH`].
 const EMPTY_OFTEN: Duration = Duration::from_millis(10);
 
 /// The result of a visit to a socket.
 #[derive(Clone, Copy, Debug, Default)]
 struct Taken {
-    /// The number of datagrams, accepted or not.
+    /// The number of datagrams that the visit took, accepted or not.
     count: usize,
     /// The number of greetings, and of datagrams that were accepted.
     heard: usize,
 }
 
 impl Taken {
-    /// Whether the visit took as many datagrams as it may, and none of them was meaningful.
+    /// Whether the visit took as many datagrams as it may, and accepted none of them.
     const fn is_flood(self, most: usize) -> bool {
         self.count >= most && self.heard == 0
     }
@@ -47,9 +47,9 @@ impl Taken {
 /// The buffers into which a thread receives.
 pub(super) struct Room {
     receiver: Receiver,
-    /// The packets of one receive call. It has room for as many as leave in one call, and keeps that room.
+    /// The packets of one receive call. The buffer has room for as many packets as leave in one call, and keeps that room.
     decoded: Vec<Packet>,
-    /// What keys have opened.
+    /// The content of a datagram that keys have opened.
     plain: Box<[u8]>,
 }
 
@@ -62,10 +62,10 @@ impl Room {
 }
 
 impl UdpLink {
-    /// Takes one datagram of each socket that was reported to the leader, with those that the kernel merged with it.
-    /// Datagrams that come later are reported to the polling thread. Returns false if another thread receives from one of
-    /// the sockets, because that thread then takes the datagram, too. Seeing that a socket is empty costs one more syscall.
-    /// So this does it only now and then: nothing depends on it while the kernel's stamps can be trusted.
+    /// Takes one datagram of each socket that was reported to the leader, with the datagrams that the kernel merged with it.
+    /// Datagrams that come later are reported to the polling thread. Returns false if another thread receives from one of the
+    /// sockets, because that thread then takes the datagram, too. To see that a socket is empty costs one more syscall. So
+    /// this function does that only once in a while: nothing depends on it while the kernel's stamps can be trusted.
     pub(super) fn take_told(&self, told: &ReadySockets, sink: &dyn Sink) -> bool {
         self.with_room(|room| {
             let mut all = true;
@@ -81,7 +81,7 @@ impl UdpLink {
     }
 
     /// Takes the datagrams that wait in the reported sockets: up to a [`BATCH`] of each, or a [`STRANGERS_BATCH`] of
-    /// strangers. Returns whether any datagram came in.
+    /// strangers. Returns whether it took any datagram.
     pub(super) fn drain(&self, told: &ReadySockets, sink: &dyn Sink) -> bool {
         self.with_room(|room| {
             let mut any = false;
@@ -115,7 +115,7 @@ impl UdpLink {
         sink: &dyn Sink,
     ) -> Taken {
         let Room { receiver, decoded, plain } = room;
-        // Read before the socket is checked: if the socket turns out to be empty, it was empty after this reading.
+        // The clocks are read before the socket is checked. If the socket turns out to be empty, it was empty after this reading.
         let mut before = if most > 1 { Reading::take() } else { queue.last };
         let (mut taken, mut errors) = (Taken::default(), 0);
         while taken.count < most && errors < BATCH {
@@ -145,9 +145,9 @@ impl UdpLink {
                     queue.empty = before;
                     return taken;
                 }
-                // The error is an interruption, or a network error about an earlier datagram. The queue has not changed.
+                // The error is an interruption, or a network error about an earlier datagram. No datagram was taken.
                 Err(error) => {
-                    // A connected socket gets such errors only for datagrams that were sent through it.
+                    // A connected socket gets such network errors only for datagrams that were sent through it.
                     if inbound.from.is_some() && error.kind() != io::ErrorKind::Interrupted {
                         self.statistics.send_failed(&error);
                     } else {
@@ -182,7 +182,7 @@ impl UdpLink {
             Evidence::ClockSet => UdpCount::ClockSet,
         };
         self.statistics.add(count, 1);
-        // The whole time since the socket was empty is charged. `Instant` stands still while the machine is suspended, so
+        // The whole time since the socket was seen empty is charged. `Instant` stands still while the machine is suspended, so
         // that time is added.
         let slept = clock::look_for_suspend().saturating_sub(empty.suspended);
         Ticks(waited.saturating_add(slept))
@@ -195,12 +195,12 @@ struct Together<'a> {
     /// The address of the neighbour from which they came, if the socket is connected to one.
     from: Option<SocketAddr>,
     now: Reading,
-    /// How long they waited in the kernel, by the one stamp of the call.
+    /// How long the datagrams waited in the kernel, by the one stamp of the call.
     waited: Ticks,
     /// Decoded packets that were not handed to the sink yet.
     decoded: &'a mut Vec<Packet>,
     plain: &'a mut Box<[u8]>,
-    /// The sender of these packets, and their charge.
+    /// The sender of the packets in `decoded`, and their charge.
     of: Option<(NodeId, Ticks)>,
     /// How many of the datagrams were greetings.
     greetings: u64,
@@ -210,11 +210,11 @@ struct Together<'a> {
 }
 
 impl Together<'_> {
-    /// Judges each datagram by itself, and hands over its packets. Returns how many datagrams there were, and how many were
-    /// heard.
+    /// Judges each datagram by itself, and hands over its packets. Returns how many datagrams there were, and how many
+    /// of them were accepted.
     ///
-    /// What one neighbour sent in one call has one charge, and is handed over together. Otherwise a later packet would count as
-    /// older if the clock advanced between two datagrams (D126).
+    /// All datagrams of one neighbour in one call have one charge, and their packets are handed over together.
+    /// Otherwise a later packet would count as older if the clock advanced between two datagrams (D126).
     fn deliver(mut self, received: &Received<'_>) -> (usize, usize) {
         let mut count = 0;
         for bytes in received.datagrams() {
@@ -253,7 +253,7 @@ impl Together<'_> {
         taken
     }
 
-    /// Takes in an intact datagram. `by`: the session with keys that has closed it.
+    /// Handles an intact datagram. `by` is the session with keys that closed it.
     fn take_opened(&mut self, opened: &Opened<'_>, by: Option<&Arc<Live>>) -> Result<(), LinkDiscard> {
         let link = self.link;
         let peer = link.sender_of(opened)?;
@@ -282,13 +282,13 @@ impl Together<'_> {
             }
             unheard.reason
         })?;
-        // A datagram changes what is known of its sender only if it brings at least one packet of this cell.
+        // A datagram changes the node's knowledge of its sender only if it brings at least one packet of this cell.
         let mut before = self.decode(opened.packets, envelope.sender);
         if self.decoded.len() == before {
             return Ok(());
         }
         if let Contact::New { .. } = contact {
-            // The packets before this datagram are of an earlier session.
+            // The packets before this datagram belong to an earlier session.
             self.hand_over_first(std::mem::take(&mut before));
         }
         self.admitted += 1;
@@ -302,7 +302,7 @@ impl Together<'_> {
         Ok(())
     }
 
-    /// Decodes packets behind those that wait for the sink; the buffer has room for them. Returns how many waited before.
+    /// Decodes packets into the buffer, which has room, behind those that wait there. Returns how many waited before.
     fn decode(&mut self, packets: &[[u8; 32]], sender: NodeId) -> usize {
         let (link, before) = (self.link, self.decoded.len());
         let port_hash = |port| link.table.port(port).map(|port| port.hash);
@@ -342,7 +342,7 @@ impl Together<'_> {
         known.delay.arrived(envelope.tx_mono, echo, at)
     }
 
-    /// Takes a greeting in. It changes what is known of its sender only if its echo proves when it was sent.
+    /// Handles a greeting. A greeting changes the node's knowledge of its sender only if its echo proves when it was sent.
     fn greeted(
         &mut self,
         peer: &Peer,
@@ -366,8 +366,8 @@ impl Together<'_> {
             self.enter(peer, &mut known, (envelope, contact), at);
         }
         drop(known);
-        // A new neighbour must learn at once that this node listens. The echo of this greeting's clock lets the neighbour
-        // prove that it hears this node.
+        // A new neighbour must learn at once that this node listens. The answer echoes the clock of this greeting, so
+        // the neighbour can prove that it receives from this node.
         if greeting.wants_answer || is_new {
             link.say(peer, Greeting::default(), Some(heard(envelope, at)));
         }

@@ -1,4 +1,4 @@
-//! Sends packets: from the transit buffer to the socket.
+//! Sends packets: from the transit buffer of the node to a socket of the kernel.
 
 use super::UdpLink;
 use super::inbound::Inbound;
@@ -17,14 +17,15 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-/// How many full datagrams leave in one call at most, if the kernel cuts the call into datagrams. More urgent packets cannot
-/// overtake datagrams that the socket holds: 20 if they leave in such calls, and 15 if they leave one by one. Twice as many
-/// would save a tenth of the cost of single calls, beyond the seven tenths that this saves (D129).
+/// How many full datagrams leave in one call at most, if the kernel cuts the call into datagrams. More urgent packets
+/// cannot overtake datagrams that the socket holds: 20 datagrams if they leave in such calls, and 15 if they leave one
+/// by one. Such calls save seven tenths of the cost of single calls; twice as many datagrams in a call would save only
+/// another tenth (D129).
 pub(crate) const SEGMENTS: usize = 4;
 
 impl UdpLink {
-    /// Sends packets to a neighbour, in full datagrams except the last, each with a counter of its own. Returns how many packets
-    /// the kernel took, or lost: at least one.
+    /// Sends packets to a neighbour, in datagrams that are full except for the last one, each with a counter of its
+    /// own. Returns how many packets the kernel took, or lost: at least one.
     pub(super) fn send_over(
         &self,
         peer: &Peer,
@@ -44,14 +45,14 @@ impl UdpLink {
         {
             datagram.clear();
             for packet in packets {
-                // The cell may lack the port. The neighbour then reports this, and counts the packet.
+                // The cell of this node may lack the port. The neighbour then reports this, and counts the packet.
                 let hash = self.table.port(packet.port).map_or(0, |port| port.hash);
                 datagram.push(&packet.encode(self.table.digest(), hash));
             }
             let envelope = Envelope { counter: *counter + number as u64, ..first };
             match &closing {
                 Closing::Checksum => drop(datagram.seal(&envelope, digests)),
-                // Fails only for what is longer than any datagram.
+                // Sealing fails only for a datagram that is longer than the greatest length.
                 Closing::Keys(live) => live.seal(datagram, &envelope).map_err(|_| LinkBusy)?,
             }
         }
@@ -96,8 +97,8 @@ impl UdpLink {
                     return Ok(datagrams.len());
                 }
                 Err(error) if is_full(&error) => return Err(self.found_full(peer)),
-                // After this error each datagram leaves by itself. If one has left all the same, the receiver recognises its
-                // counter.
+                // After this error each datagram is sent by itself. If one left in spite of the error, the receiver
+                // recognises its counter.
                 Err(_) => {}
             }
         }
@@ -119,12 +120,12 @@ impl UdpLink {
         self.statistics.add(UdpCount::PacketsSent, datagram.len() as u64);
     }
 
-    /// Notes that the kernel takes nothing more for a neighbour.
+    /// Notes that the kernel takes no more datagrams for a neighbour.
     fn found_full(&self, peer: &Peer) -> LinkBusy {
         self.statistics.add(UdpCount::Busy, 1);
         peer.full.store(true, Ordering::Release);
         self.blocked.store(true, Ordering::Release);
-        // A thread that already waits in the socket does not wait for room yet, so it is woken.
+        // A thread that already waits in the socket does not wait yet for room in the kernel's send queue, so it is woken.
         self.polling.wake().wake();
         LinkBusy
     }
@@ -134,7 +135,7 @@ impl UdpLink {
         Arc::clone(route.connected.as_ref().unwrap_or(&self.strangers))
     }
 
-    /// Whether the kernel takes a datagram for a neighbour, as far as is known.
+    /// Whether the kernel takes a datagram for a neighbour, as far as this node knows.
     pub(super) fn takes(&self, peer: &Peer, route: &Route) -> bool {
         if peer.full.load(Ordering::Acquire) && socket::takes(&self.sending(route).socket) {
             peer.full.store(false, Ordering::Release);
@@ -142,7 +143,7 @@ impl UdpLink {
         !peer.full.load(Ordering::Acquire)
     }
 
-    /// The sockets that were found full.
+    /// The sockets for which the kernel was found to take no more datagrams.
     pub(super) fn full(&self) -> Vec<Arc<Inbound>> {
         let full = self.peers.iter().filter(|peer| peer.full.load(Ordering::Acquire));
         full.filter_map(|peer| lock(&peer.route).as_ref().map(|route| self.sending(route))).collect()
@@ -181,14 +182,14 @@ impl UdpLink {
         if error.kind() != io::ErrorKind::ConnectionRefused {
             return sent;
         }
-        // The error concerns an earlier datagram; this one has not been sent yet.
+        // The error concerns an earlier datagram; the kernel has not sent this datagram yet.
         self.statistics.send_failed(error);
         retried(send)
     }
 
-    /// Stops cutting calls into datagrams on this route if the error says that the kernel refuses it: the network takes no
-    /// full datagrams in one piece (EINVAL, EMSGSIZE), or cannot compute the checksums of the pieces (EIO). From then on
-    /// each datagram leaves by itself. Other errors concern earlier datagrams, or go away.
+    /// Stops cutting calls into datagrams on this route if the error says that the kernel refuses to cut them: the
+    /// network takes no full datagrams in one piece (EINVAL, EMSGSIZE), or cannot compute the checksums of the pieces
+    /// (EIO). From then on each datagram leaves by itself. Other errors concern earlier datagrams, or do not last.
     fn doubt_segments(&self, route: &mut Route, error: &io::Error) {
         let refused = [Errno::INVAL, Errno::IO, Errno::MSGSIZE];
         if Errno::from_io_error(error).is_some_and(|errno| refused.contains(&errno))

@@ -1,16 +1,16 @@
 //! Decides from which session of a neighbour datagrams are accepted (D144).
 //!
-//! A node draws a new session at every start. Sessions have no order, so a datagram of another session than the known one must
-//! prove that it was sent later. Its echo is the proof: an instant of *this* node's clock before the neighbour sent the datagram.
-//! If the echo is not before the arrival of the known session's last datagram, the new one was sent after that. A node runs once
-//! at a time, so the known session is over.
+//! A node draws a new session at every start. Sessions have no order, so a datagram of another session than the known
+//! one must prove that it was sent later. Its echo is the proof: an instant of *this* node's clock before the neighbour
+//! sent the datagram. If the echo is not before the arrival of the known session's last datagram, the new session's
+//! datagram was sent after that arrival. A node runs once at a time, so the known session is over.
 //!
-//! A datagram of a dead session was sent before the present one began, so its echo is never late enough: it cannot take over,
-//! however often and whenever it is repeated. A neighbour whose new session has no such echo is asked for one, which takes one
-//! exchange.
+//! A datagram of a dead session was sent before the present session began, so its echo is never late enough: it cannot
+//! replace the present session, however often and whenever it is repeated. If the new session of a neighbour gives no
+//! such echo, this node asks the neighbour for one, which takes one exchange of datagrams.
 //!
-//! The same proof corrects a wrong counter: a datagram that was sent after the newest one came has the greater counter, whatever
-//! the newest one said.
+//! The same proof corrects a wrong counter. A datagram that was sent after the arrival of the datagram with the
+//! greatest counter has the greater counter in truth, whatever the earlier one showed.
 
 use super::delay::LinkDelay;
 use crate::link::LinkDiscard;
@@ -23,14 +23,14 @@ pub(super) struct Known {
     pub(super) session: Session,
     incarnation: Incarnation,
     window: ReplayWindow,
-    /// When the datagram with the newest counter came.
+    /// When the datagram with the newest counter arrived.
     newest_at: u64,
     /// When a datagram of the session was last accepted.
     last: u64,
     pub(super) delay: LinkDelay,
 }
 
-/// How a good datagram relates to the earlier ones of its sender.
+/// How an accepted datagram relates to the earlier datagrams of its sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Contact {
     /// The datagram is from the known session.
@@ -42,15 +42,15 @@ pub(super) enum Contact {
     New { restarted: bool },
 }
 
-/// Why a datagram is dropped.
+/// Why a datagram is dropped, and whether the neighbour is asked for an echo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Unheard {
     pub(super) reason: LinkDiscard,
-    /// Whether an echo can decide the case. If so, the neighbour is asked for one.
+    /// Whether an echo can decide if the datagram is accepted. If so, this node asks the neighbour for one.
     pub(super) asks: bool,
 }
 
-/// Judges a datagram by its sender's session and its counter. This changes nothing.
+/// Judges a datagram by its sender's session and its counter. The judgement changes no state.
 ///
 /// `sent_after` is an instant before the datagram was sent, if the datagram proves one. With `one_way` no exchange is
 /// possible, because nothing can be sent to the neighbour; the order of incarnations then decides (D49).
@@ -133,7 +133,8 @@ mod tests {
         }
     }
 
-    /// A neighbour from which the datagrams `(session, incarnation, counter)` were accepted, each at its time.
+    /// What is known of a neighbour from which the datagrams `(session, incarnation, counter)` were accepted, each at
+    /// its time.
     fn heard(datagrams: &[(u64, u8, u64, u64)]) -> Option<Known> {
         let mut known = None;
         for &(session, incarnation, counter, at) in datagrams {
@@ -156,7 +157,7 @@ mod tests {
     #[test]
     fn a_new_session_takes_over_when_it_was_sent_after_all_that_came() {
         let known = heard(&[(1, 200, 0, 100), (1, 200, 1, 500)]);
-        // The neighbour lost its state, so its incarnations begin again.
+        // The neighbour lost its state, so it counts its incarnations from the beginning.
         let again = envelope(2, 0, 0);
         let unproven = |sent_after| judged(&known, &again, sent_after).unwrap_err();
         assert_eq!(unproven(None), Unheard { reason: LinkDiscard::UnprovenSession, asks: true });
@@ -166,7 +167,8 @@ mod tests {
 
     #[test]
     fn a_dead_session_takes_nothing_over() {
-        // The first session heard from this node until 400, and then ended. The next session is heard from 600 on.
+        // The first session heard from this node until the instant 400, and then ended. This node accepts datagrams of
+        // the next session from 600 on.
         let known = heard(&[(1, 3, 9, 410), (2, 4, 0, 600)]);
         for sent_after in [None, Some(0), Some(400), Some(599)] {
             let reason = judged(&known, &envelope(1, 3, 10), sent_after).unwrap_err().reason;

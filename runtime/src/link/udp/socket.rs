@@ -18,19 +18,19 @@ const BUFFER_BYTES: usize = MAX_DATAGRAM_BYTES + 1;
 /// The most bytes that the kernel merges. Any single datagram fits, too.
 const MERGED_BYTES: usize = 64 * 1024;
 
-/// How many bytes the kernel holds for the network (SO_SNDBUF; the kernel doubles that for its own needs). No urgent packet
-/// can overtake these bytes, so the number is just large enough to keep the network busy. A full datagram takes 2,304 bytes
-/// of the kernel's if it leaves alone, so the kernel holds 15 of them, or 20 that leave in calls of four (D129). The socket
-/// takes more once half of them are gone. The other seven datagrams take 85 us at a gigabit a second, longer than the
-/// sending thread takes to wake (D110).
+/// How many bytes the kernel holds for the network (SO_SNDBUF; the kernel doubles that for its own needs). No urgent
+/// packet can overtake these bytes, so the number is just large enough to keep the network busy. A full datagram takes
+/// 2,304 bytes of the kernel's if it leaves alone, so the kernel holds 15 of them, or 20 that leave in calls of four
+/// (D129). The socket takes more datagrams once half of these bytes are gone. The remaining seven datagrams take 85 us
+/// at a gigabit a second, longer than the sending thread takes to wake (D110).
 const SEND_QUEUE_BYTES: usize = 16 * 1024;
 
-/// Limits how many bytes a socket holds for the network.
+/// Limits how many bytes the kernel holds for the network from this socket.
 pub(super) fn bound_sending(socket: &UdpSocket) -> nix::Result<()> {
     setsockopt(socket, sockopt::SndBuf, &SEND_QUEUE_BYTES)
 }
 
-/// Asks the kernel to cut the data of each send into datagrams of so many bytes; zero ends that.
+/// Asks the kernel to cut the data of each send into datagrams of this many bytes; zero ends that.
 pub(super) fn set_segment(socket: &UdpSocket, bytes: usize) -> nix::Result<()> {
     let bytes = i32::try_from(bytes).unwrap_or(i32::MAX);
     setsockopt(socket, sockopt::UdpGsoSegment, &bytes)
@@ -41,7 +41,7 @@ pub(super) fn segments(socket: &UdpSocket) -> bool {
     set_segment(socket, 0).is_ok()
 }
 
-/// Asks the kernel to merge datagrams that arrive from one sender at the same time. Returns whether it does.
+/// Asks the kernel to merge datagrams that arrive from one sender at the same time. Returns whether the kernel does so.
 pub(super) fn merge(socket: &UdpSocket) -> bool {
     setsockopt(socket, sockopt::UdpGroSegment, &true).is_ok()
 }
@@ -56,11 +56,12 @@ pub(super) struct Received<'a> {
     bytes: &'a [u8],
     /// The length of each datagram; the last one may be shorter.
     segment: usize,
-    /// When the datagrams came in, by the wall clock since 1970. On the loopback this is when the first of them came; if a
-    /// network card merged them, it is when the card released them. How long the card may hold them is part of the link's
-    /// declared bound (D129).
+    /// When the datagrams arrived, by the wall clock since 1970. On the loopback this is when the first of them
+    /// arrived; if a network card merged them, it is when the card released them. The time for which the card may hold
+    /// datagrams is part of the link's declared bound (D129).
     pub(super) stamp: Option<Duration>,
-    /// How many datagrams the kernel has dropped since the socket was made, if it reports that. The number wraps around.
+    /// How many datagrams the kernel has dropped since the socket was made, if the kernel reports that. The number
+    /// wraps around.
     pub(super) dropped: Option<u32>,
 }
 
@@ -76,7 +77,7 @@ impl<'a> Received<'a> {
 pub(super) struct Receiver {
     bytes: Box<[u8]>,
     control: Vec<u8>,
-    /// Whether stamps are the times of arrival.
+    /// Whether the kernel's stamps are the times of arrival.
     pub(super) stamped: bool,
 }
 
@@ -88,7 +89,7 @@ impl Receiver {
         Self { bytes: vec![0; room].into(), control, stamped }
     }
 
-    /// The next datagram that waits, or several that were merged. Never blocks.
+    /// Receives the next datagram that waits, or several that the kernel merged. Never blocks.
     pub(super) fn receive(&mut self, socket: &UdpSocket) -> io::Result<Received<'_>> {
         let mut slices = [IoSliceMut::new(&mut self.bytes)];
         let flags = MsgFlags::MSG_DONTWAIT;
@@ -114,7 +115,7 @@ fn since_1970(at: TimeSpec) -> Option<Duration> {
     Some(Duration::new(u64::try_from(at.tv_sec()).ok()?, nanoseconds))
 }
 
-/// The options of a receiving socket.
+/// The options that are set on a receiving socket.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Asked {
     /// Whether the kernel merges datagrams that arrive from one sender at the same time.
@@ -142,7 +143,7 @@ impl Asked {
 }
 
 /// A socket bound to `address`, which no other socket may have. `merges` says whether the kernel may merge datagrams. Also
-/// returns the options that the kernel accepted, and a reading of the clocks from before anything can have come in.
+/// returns the options that the kernel accepted, and a reading of the clocks from before any datagram can have arrived.
 pub(super) fn bind(
     address: SocketAddr,
     queue: usize,
@@ -157,13 +158,13 @@ pub(super) fn bind(
     Ok((socket, asked, empty))
 }
 
-/// A socket on the address of another one, `local`, that is connected to `peer`: the kernel gives it the datagrams from that
-/// address.
+/// A socket on the address of another socket, `local`, that is connected to `peer`: the kernel gives it the datagrams
+/// from the address `peer`.
 ///
-/// A socket can share an address only if all sockets on it, and itself, have SO_REUSEADDR set at that moment. `bound` has
-/// the option set only during this call, so no other process gets the address; two threads must not make this call at once.
-/// SO_REUSEPORT would let other processes of the user in for as long as the node runs. Between its bind and its connect the
-/// socket also gets datagrams of strangers, which are judged by their contents, as always.
+/// A socket can share an address only if it, and all sockets on that address, have SO_REUSEADDR set at that moment. `bound`
+/// has the option set only during this call, so no other process gets the address; two threads must not make this call at
+/// once. SO_REUSEPORT would let other processes of the user share the address for as long as the node runs. Between its bind
+/// and its connect the new socket also gets datagrams of strangers, which are judged by their contents, as always.
 pub(super) fn connect_beside(
     bound: &UdpSocket,
     local: SocketAddr,
@@ -186,9 +187,9 @@ pub(super) fn connect_beside(
     Ok(socket)
 }
 
-/// Whether the kernel stamps datagrams when they come in. It begins to do so some time after the first socket asks for it.
-/// Until then it gives the time of *reception*, which makes old datagrams look young. To find out, this sends a datagram to
-/// its own socket, and leaves it there for a while.
+/// Whether the kernel stamps datagrams when they arrive. The kernel begins to do so some time after the first socket
+/// asks for it. Until then its stamps are the times of *reception*, which makes old datagrams look young. To find out,
+/// this sends a datagram to its own socket, and leaves the datagram there for a while.
 fn stamps_work() -> bool {
     const WAIT: Duration = Duration::from_millis(1);
     const ATTEMPTS: usize = 50;
@@ -222,7 +223,7 @@ impl Wake {
 
     /// Ends the present wait, or else the next one.
     pub(super) fn wake(&self) {
-        // This fails only if the count is full, and then the wait ends all the same.
+        // This fails only if the counter is full, and then the wait ends all the same.
         let _ = rustix::io::write(&self.0, &1_u64.to_ne_bytes());
     }
 
@@ -236,7 +237,7 @@ impl Wake {
     }
 }
 
-/// How a wait for room ended.
+/// How a wait for room in a full socket ended.
 pub(super) enum Waited {
     /// The epoll instance has an event.
     ReadySockets,
@@ -256,10 +257,10 @@ pub(super) fn wait_for_room(
     fds.extend(full.iter().map(|full| PollFd::new(*full, PollFlags::OUT)));
     loop {
         let left = until.map(|until| until.saturating_duration_since(Instant::now()));
-        // A wait that is too long for the kernel's type counts as a wait without end.
+        // A wait that is too long for the kernel's type of a time counts as a wait without end.
         let timeout = left.and_then(|left| Timespec::try_from(left).ok());
         match poll(&mut fds, timeout.as_ref()) {
-            // `poll` uses the same clock as `Instant`, but nothing guarantees that.
+            // `poll` uses the same clock as `Instant`, but no documentation promises that.
             Ok(0) if until.is_some_and(|until| Instant::now() < until) => {}
             Ok(0) => return Ok(Waited::TimedOut),
             Ok(_) => {}
@@ -269,7 +270,7 @@ pub(super) fn wait_for_room(
         if !fds[0].revents().is_empty() {
             return Ok(Waited::ReadySockets);
         }
-        // The next send reports the error of a sending socket.
+        // The next send reports a socket's error, so an error counts as writable, too.
         if fds[1..].iter().any(|fd| !fd.revents().is_empty()) {
             return Ok(Waited::Writable);
         }

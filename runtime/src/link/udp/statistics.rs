@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 macro_rules! counts {
     ($($(#[doc = $doc:literal])+ $variant:ident = $name:literal),* $(,)?) => {
-        /// The events that a UDP link counts. The drops of received data are not here: the link tells the node the reason of
-        /// each.
+        /// The events that a UDP link counts. Dropped datagrams that arrived are not here: the link tells the node the
+        /// reason of each drop.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum UdpCount { $($(#[doc = $doc])+ $variant),* }
 
@@ -28,24 +28,25 @@ counts! {
     DatagramsSent = "datagrams_sent",
     /// Packets in the datagrams that were handed to the kernel.
     PacketsSent = "packets_sent",
-    /// Datagrams that left in one call with an earlier one (UDP_SEGMENT): the number of calls that this saved.
+    /// Datagrams that left in the same call as an earlier datagram (UDP_SEGMENT): the number of calls that this saved.
     SendsSaved = "sends_saved",
     /// Routes for which the kernel refused to cut a call into datagrams.
     SegmentsRefused = "segments_refused",
-    /// Datagrams that came in, good or not.
+    /// Datagrams that arrived, valid or not.
     DatagramsReceived = "datagrams_received",
-    /// Datagrams that the kernel had merged with an earlier one (UDP_GRO): the number of calls that this saved.
+    /// Datagrams that the kernel had merged with an earlier datagram (UDP_GRO): the number of calls that this saved.
     ReceivesSaved = "receives_saved",
     /// Packets handed to the sink: the node that the link receives for.
     PacketsReceived = "packets_received",
-    /// Datagrams that the kernel dropped because its queue was full (SO_RXQ_OVFL); those that it had merged count as one.
+    /// Datagrams that the kernel dropped because its queue was full (SO_RXQ_OVFL); datagrams that it had merged count as one.
     KernelDropped = "kernel_dropped",
     /// Datagrams that the kernel dropped from the socket of strangers, so they came from addresses of no neighbour. A flood
     /// from outside the cell shows here.
     StrangersDropped = "strangers_dropped",
     /// Sends that found the kernel's send queue full; the packets were kept.
     Busy = "send_busy",
-    /// Sends that failed: the other side has no such socket (ECONNREFUSED). The kernel reports it with the next send or receive.
+    /// Sends that failed: no socket has the neighbour's address (ECONNREFUSED). The kernel reports this with the next
+    /// send or receive.
     SendRefused = "send_refused",
     /// Sends that failed: no memory in the kernel (ENOBUFS, ENOMEM).
     SendNoBuffers = "send_no_buffers",
@@ -63,29 +64,29 @@ counts! {
     ClockSet = "clock_set",
     /// Datagrams whose wait was counted from the time when the socket was last seen empty, because the kernel gave no stamp.
     NoStamp = "no_stamp",
-    /// New sessions of neighbours: the first one of each, and one for each restart.
+    /// New sessions of neighbours: the first session of each neighbour, and one for each restart.
     NewIncarnations = "new_lives",
-    /// Greetings sent: they carry no packets, and are not among the datagrams.
+    /// Greetings sent: they carry no packets, and are not counted among the datagrams.
     GreetingsSent = "greetings_sent",
-    /// Greetings that came in.
+    /// Greetings that arrived.
     GreetingsReceived = "greetings_received",
     /// How often the node asked a neighbour for an echo, because the neighbour's session or counter could not be told from
     /// an old one.
     EchoesAsked = "echoes_asked",
-    /// Counters that one datagram had set too far ahead, and that a later one corrected.
+    /// Counters of neighbours that one datagram had set too far ahead, and that a later datagram corrected.
     CountersMended = "counters_mended",
     /// Refusals sent. The reasons are counted with the datagrams that were refused.
     RefusalsSent = "refusals_sent",
-    /// Packets that came before the node began, and were dropped.
+    /// Packets that arrived before the node began, and were dropped.
     BeforeStart = "before_start",
-    /// Datagrams of handshakes sent: questions for a session with keys, and their answers.
+    /// Datagrams of handshakes sent: requests for a session with keys, and answers to such requests.
     HandshakesSent = "handshakes_sent",
     /// Sessions with keys that this node asked for and got.
     SessionsMade = "sessions_made",
 }
 
 impl UdpCount {
-    /// The counters of packets that were lost, or may have been.
+    /// The counters of packets that were lost, or may have been lost.
     pub const FAILURES: [Self; 8] = [
         Self::KernelDropped,
         Self::SendRefused,
@@ -98,7 +99,7 @@ impl UdpCount {
     ];
 }
 
-/// A UDP link's counters. They only grow.
+/// A UDP link's counters. They never decrease.
 #[derive(Debug, Default)]
 pub(super) struct Statistics([AtomicU64; UdpCount::ALL.len()]);
 

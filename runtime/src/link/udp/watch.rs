@@ -1,12 +1,13 @@
-//! Waits for the sockets, and decides which thread a datagram wakes.
+//! Waits for datagrams in the link's sockets, and decides which thread a datagram wakes.
 //!
-//! Two epoll instances watch each socket that is connected to a neighbour, both with EPOLLEXCLUSIVE: the leader's first,
-//! then the polling thread's. The kernel goes through them in this order and ends at the first one in which a thread sleeps.
-//! So a datagram wakes only the leader. If no thread leads, or the leader is already awake, it wakes the polling thread.
-//! When a leader comes or goes, nothing needs to be changed, and no thread is woken for it.
+//! Two epoll instances watch each socket that is connected to a neighbour, both with EPOLLEXCLUSIVE: the leader's first, then
+//! the polling thread's. The kernel goes through the two instances in this order and stops at the first instance in which a
+//! thread sleeps. So a datagram wakes only the leader. If no thread leads, or the leader is already awake, the datagram wakes
+//! the polling thread. When a leader begins or ends its wait, nothing needs to be changed, and no thread is woken.
 //!
-//! The order decides which thread is woken, never whether one is: an instance without a thread keeps its events, and both are
-//! level-triggered. Only the polling thread's instance watches the socket of strangers: what strangers send wakes no task (D155).
+//! The order decides which thread is woken, never whether a thread is woken: an instance without a thread keeps its
+//! events, and both instances are level-triggered. Only the polling thread's instance watches the socket of strangers:
+//! what strangers send wakes no task (D155).
 
 use super::UdpError;
 use super::socket::Wake;
@@ -18,24 +19,24 @@ use std::net::UdpSocket;
 use std::os::fd::OwnedFd;
 use std::time::{Duration, Instant};
 
-/// The event data of the event counter. The event data of a socket are its place.
+/// The event data of the event counter. The event data of a socket are the socket's number.
 const WAKE: u64 = u64::MAX;
-/// How many events one wait reports, at most. The kernel reports the others with the next waits, in turns.
+/// How many events one wait reports, at most. The kernel reports further events with the next waits, in turns.
 const AT_ONCE: usize = 16;
 
-/// Waits below this are too short for epoll's timeout, which has whole milliseconds.
+/// Waits that are shorter than this are too short for epoll's timeout, which has whole milliseconds.
 const COARSE: Duration = Duration::from_millis(2);
 const NOW: Timespec = Timespec { tv_sec: 0, tv_nsec: 0 };
-/// The kernel may end a wait late, by a thousandth of its length. So a first wait is shorter by twice that, this fraction of
-/// the length, and a short and exact second wait ends on time.
+/// The kernel may end a wait late, by a thousandth of its length. So a long wait is made of two waits. The first is shorter
+/// by this fraction of the length, which is twice that lateness. The second is short and exact, and ends on time.
 const LATE: u32 = 500;
 
 /// One epoll instance with sockets and an event counter.
 pub(super) struct Watch {
     epoll: OwnedFd,
     wake: Wake,
-    /// Whether the wake-up is reported first if there are both a datagram and a wake-up. The other one then ends the next
-    /// wait.
+    /// If there are both a datagram and a wake-up, whether the wake-up is reported first. The datagram then ends the
+    /// next wait.
     wake_first: bool,
 }
 
@@ -47,7 +48,7 @@ pub(super) enum Seen {
     TimedOut,
 }
 
-/// The places of the sockets that have something to receive, in the order in which they got it.
+/// The numbers of the sockets that have something to receive, in the order in which they got it.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct ReadySockets {
     places: [u32; AT_ONCE],
@@ -78,18 +79,19 @@ impl Watch {
         Ok(Self { epoll, wake, wake_first })
     }
 
-    /// Watches a socket that no other epoll instance watches.
+    /// Watches a socket that no other epoll instance watches. `place` is the socket's number.
     pub(super) fn add_alone(&self, socket: &UdpSocket, place: u32) -> io::Result<()> {
         Ok(epoll::add(&self.epoll, socket, EventData::new_u64(place.into()), EventFlags::IN)?)
     }
 
-    /// Watches a socket that was added with [`add_alone`](Self::add_alone), or stops watching it for the time being.
+    /// Watches a socket that was added with [`add_alone`](Self::add_alone), or stops watching it until the next call.
     pub(super) fn heed(&self, socket: &UdpSocket, place: u32, heeds: bool) -> io::Result<()> {
         let events = if heeds { EventFlags::IN } else { EventFlags::empty() };
         Ok(epoll::modify(&self.epoll, socket, EventData::new_u64(place.into()), events)?)
     }
 
-    /// Watches a socket, after all epoll instances to which it was added before. Closing the socket removes it.
+    /// Watches a socket, and is served after all epoll instances to which the socket was added before. Closing the
+    /// socket removes it.
     pub(super) fn add(&self, socket: &UdpSocket, place: u32) -> io::Result<()> {
         let exclusive = EventFlags::IN | EventFlags::EXCLUSIVE;
         Ok(epoll::add(&self.epoll, socket, EventData::new_u64(place.into()), exclusive)?)
@@ -113,7 +115,8 @@ impl Watch {
         }
     }
 
-    /// As [`wait`](Self::wait), for at most `left`. Returns `None` if the wait ended early, so that the caller must wait on.
+    /// As [`wait`](Self::wait), for at most `left`. Returns `None` if the wait ended early, so that the caller must
+    /// wait again.
     pub(super) fn wait_some(&self, left: Option<Duration>) -> io::Result<Option<Seen>> {
         let seen = match left {
             Some(left) if left < COARSE => self.wait_exactly(left),
@@ -127,7 +130,7 @@ impl Watch {
         }
     }
 
-    /// The sockets that have something to receive now. This consumes no wake-up.
+    /// The sockets that have something to receive now. A wake-up stays for the next wait.
     pub(super) fn look(&self) -> ReadySockets {
         self.events(Some(&NOW)).map(|(told, _)| told).unwrap_or_default()
     }
@@ -141,7 +144,7 @@ impl Watch {
         Ok(self.seen(told, wake))
     }
 
-    /// Waits with a precise timeout, which also wakes other threads. In so short a wait that does no harm.
+    /// Waits with a precise timeout. Such a wait wakes other threads, too. That does no harm, because the wait is short.
     fn wait_exactly(&self, left: Duration) -> rustix::io::Result<Seen> {
         if !left.is_zero() {
             poll(&mut [PollFd::new(&self.epoll, PollFlags::IN)], Timespec::try_from(left).ok().as_ref())?;
@@ -150,8 +153,8 @@ impl Watch {
         Ok(self.seen(told, wake))
     }
 
-    /// The sockets that get something to receive within `left`, and whether there is a wake-up. A socket's error (EPOLLERR)
-    /// is reported when it receives.
+    /// The sockets that get something to receive within `left`, and whether there is a wake-up. A socket's error
+    /// (EPOLLERR) is reported by its next receive call.
     fn events(&self, left: Option<&Timespec>) -> rustix::io::Result<(ReadySockets, bool)> {
         let mut room = [MaybeUninit::uninit(); AT_ONCE];
         let (events, _) = epoll::wait(&self.epoll, &mut room, left)?;

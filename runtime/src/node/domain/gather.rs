@@ -12,7 +12,7 @@ use imrs_protocol::{
 };
 
 impl Turn<'_> {
-    /// The member reaches a `waitfor` as one fused step with all its other members (D193).
+    /// The member arrives at a `waitfor`, as one fused step with all its other members (D193).
     #[inline(never)]
     pub(super) fn gather(
         &mut self,
@@ -27,7 +27,7 @@ impl Turn<'_> {
         }
         for place in gathering.others() {
             let there = homes.at(place);
-            // A packet that a member has not taken comes first.
+            // A packet that one of the members has not taken yet must come first.
             if there.domain() != home.domain() || effects.inside.has_input_for(there) {
                 return false;
             }
@@ -49,7 +49,7 @@ impl Turn<'_> {
 /// The members of a domain during a fused arrival.
 struct Gathered<'a, S> {
     at: Micros,
-    /// The place of the task that arrives.
+    /// The place on the node of the task that arrives.
     own: usize,
     members: &'a mut [Comm],
     homes: &'a Homes,
@@ -71,7 +71,7 @@ impl<S: FusedSignals> Members for Gathered<'_, S> {
 struct Gathers<'a, S> {
     at: Micros,
     home: Home,
-    /// Whether it is the member that arrives.
+    /// Whether the outbox is that of the member that arrives.
     is_own: bool,
     ring: &'a mut Ring,
     runner: &'a mut Option<Box<ScriptRunner>>,

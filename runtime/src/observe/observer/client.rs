@@ -12,11 +12,11 @@ use std::time::{Duration, Instant};
 
 /// How long a new connection has to say hello and to show its token.
 const GREETING: Duration = Duration::from_secs(5);
-/// A monitor that reads or wants nothing for so long makes room for another monitor.
+/// A monitor that reads nothing, or wants nothing, for this long makes room for another monitor.
 const IDLE: Duration = Duration::from_secs(5);
-/// How many requests of one monitor are read before the other monitors get their turn.
+/// How many requests of one monitor are read before the observer serves the other monitors.
 const REQUESTS: usize = 16;
-/// The first version in which a monitor proves that it has the token, and does not send it.
+/// The first version in which a monitor proves that it has the token, instead of sending the token.
 const PROOFS: Version = Version { major: 1, minor: 3 };
 /// The first version that reports which scripts are held back.
 const HELD_BACK: Version = Version { major: 1, minor: 2 };
@@ -28,30 +28,30 @@ pub(super) struct Client {
     state: State,
     /// The protocol version in use, once the monitor has said hello.
     version: Version,
-    /// When the monitor last asked for something. If it has read everything and wants more, it counts as active.
+    /// When the monitor last asked for anything. A monitor that has read everything and wants more counts as active.
     active: Instant,
     /// The answer to the monitor's last ping, until it is sent.
     pong: Option<Pong>,
 }
 
 enum State {
-    /// The hello of the monitor has not come yet.
+    /// The monitor has not said hello yet.
     Greeting {
         until: Instant,
     },
-    /// The monitor has not yet shown that it may look.
+    /// The monitor has not shown yet that it is allowed to look.
     Unproven {
         until: Instant,
         challenge: Challenge,
     },
-    /// The monitor may subscribe, and has not done so.
+    /// The monitor may subscribe, and has not done so yet.
     Idle,
     Subscribed(Box<Subscription>),
     /// The pending frame is the last one before the connection ends.
     Leaving,
 }
 
-/// The error that the connection is over.
+/// The connection to the monitor is over.
 struct Gone;
 
 impl From<FrameError> for Gone {
@@ -61,7 +61,7 @@ impl From<FrameError> for Gone {
 }
 
 impl Client {
-    /// A new connection, or `None` if the system has no resources for it.
+    /// The state for a new connection, or `None` if the system has no resources for it.
     pub fn new(stream: Stream, showing: Showing, now: Instant) -> Option<Self> {
         stream.set_nonblocking().ok()?;
         let reader = FrameReader::new(stream.try_clone().ok()?, MAX_REQUEST);
@@ -87,19 +87,19 @@ impl Client {
         }
     }
 
-    /// Reads and writes as much as it can. `room` says whether one more monitor can be served. Returns false if the
+    /// Reads and writes as much as possible. `room` says whether one more monitor can be served. Returns false if the
     /// connection is over.
     pub fn serve(&mut self, ready: bool, room: bool, now: Instant) -> bool {
         self.try_serve(ready, room, now).is_ok()
     }
 
-    /// Whether the monitor has shown that it may look, and so takes one of the places.
+    /// Whether the monitor has shown that it is allowed to look, and so takes one of the places.
     pub const fn is_served(&self) -> bool {
         matches!(self.state, State::Idle | State::Subscribed(_))
     }
 
-    /// Since when the monitor has read nothing or wanted nothing, if that is at least `IDLE`, so that it
-    /// must make room for another monitor.
+    /// Since when the monitor has read nothing or wanted nothing, if that is at least `IDLE` ago: it must then make
+    /// room for another monitor.
     pub fn idle_since(&self, now: Instant) -> Option<Instant> {
         let is_idle = self.is_served() && !self.is_active();
         (is_idle && now.saturating_duration_since(self.active) >= IDLE).then_some(self.active)
@@ -123,8 +123,8 @@ impl Client {
             self.flush()?;
             self.read(room, now)?;
         }
-        // This check comes only after reading everything in the socket, because on a busy machine the observer may be late,
-        // not the monitor.
+        // The time limit is checked only after everything in the socket has been read, because on a busy machine the
+        // observer may be late, not the monitor.
         if let State::Greeting { until } | State::Unproven { until, .. } = self.state
             && until <= now
         {
@@ -199,7 +199,7 @@ impl Client {
                 }
             }
             ClientFrame::Ping(ping) => self.pong = Some(Pong { echo_us: ping.mono_us, mono_us: mono_us() }),
-            // The monitor may look already.
+            // The monitor is allowed to look already, so this frame changes nothing.
             ClientFrame::Token(_) | ClientFrame::Proof(_) => {}
         }
     }
@@ -228,7 +228,7 @@ impl Client {
             Err(_) => return Err(Gone),
             Ok((theirs, Handshake::Hello(Hello { role: Role::Monitor, schema, .. }))) => {
                 match agree((VERSION, SCHEMA), (*theirs, *schema)) {
-                    // In this version a monitor cannot prove that it has the token.
+                    // A monitor of this version cannot prove that it has the token.
                     Ok(version) if self.showing.token.is_some() && version.minor < PROOFS.minor => {
                         Some(Refusal::OtherMajor { node: VERSION, monitor: *theirs })
                     }
@@ -266,7 +266,7 @@ impl Client {
         self.admit()
     }
 
-    /// Lets the monitor look.
+    /// Allows the monitor to look.
     fn admit(&mut self) -> Result<(), Gone> {
         self.writer.push(&ServerFrame::Table(Table::of(self.showing.node.table())))?;
         self.state = State::Idle;
@@ -285,7 +285,8 @@ impl Client {
                 Denied::WrongToken
             }
             (None, _) | (Some(_), Ok(ClientFrame::Proof(_))) if room => return self.admit(),
-            // Another monitor took the last place meanwhile. If this monitor connects again, it gets an answer that says so.
+            // Another monitor has taken the last free place in the meantime. If this monitor connects again, it gets an
+            // answer that says so.
             (None, _) | (Some(_), Ok(ClientFrame::Proof(_))) => return Err(Gone),
             (Some(_), _) => Denied::NoToken,
         };

@@ -21,9 +21,9 @@ const LEAST_VITALS: Duration = Duration::from_millis(100);
 const PLACES_PERIOD: Duration = Duration::from_secs(1);
 /// How often the held-back scripts are checked.
 const HELD_BACK_PERIOD: Duration = Duration::from_secs(1);
-/// How many events of one state machine go into one frame at most.
+/// How many events of one state machine are put into one frame, at most.
 const EVENT_ROOM: usize = 512;
-/// How many events go into one frame at most.
+/// How many events are put into one frame, at most.
 const MAX_EVENTS: usize = 16_384;
 
 /// The frames for which one monitor has asked.
@@ -37,8 +37,8 @@ pub(super) struct Subscription {
     more: Option<More>,
 }
 
-/// The kinds of frames. If several have been due since the same instant, the kind that stands first here goes first. So a
-/// monitor that gets the state already knows the other nodes and the held-back scripts.
+/// The kinds of frames. If several have been due since the same instant, the kind that stands first in this list goes
+/// first. So a monitor that gets the state already knows the other nodes and the held-back scripts.
 #[derive(Clone, Copy)]
 enum What {
     Places,
@@ -65,7 +65,7 @@ struct Following {
 
 /// The frames that versions 1.1 and 1.2 added.
 struct More {
-    /// The last snapshot that the monitor got. Changes are computed from it.
+    /// The last snapshot that the monitor got. The next changes are computed from it.
     told: Option<Snapshot>,
     /// Since when the frame about the watched queues is due.
     detail: Option<Instant>,
@@ -78,7 +78,7 @@ struct More {
 }
 
 impl Subscription {
-    /// The subscription of a monitor of version 1.0. It replaces the one in `before`.
+    /// The subscription of a monitor of version 1.0. It replaces the earlier subscription `before`.
     pub fn old(wanted: &Subscribe, before: Option<Self>, showing: &Showing, now: Instant) -> Self {
         let events = wanted.events.then_some(EventFilter::ALL);
         Self {
@@ -130,7 +130,8 @@ impl Subscription {
         }
     }
 
-    /// Makes the next state a whole snapshot, because the monitor asked for one. Frames that were due before go first.
+    /// Makes the next frame about the state a whole snapshot, because the monitor asked for one. Frames that were due
+    /// before go first.
     pub fn whole(&mut self, now: Instant) {
         if let Some(more) = &mut self.more {
             more.told = None;
@@ -138,7 +139,7 @@ impl Subscription {
         }
     }
 
-    /// For each kind of frame, when it is due next, if at all.
+    /// For each kind of frame, when the next frame is due, if at all.
     fn dues(&self) -> [(Option<Instant>, What); 6] {
         let more = self.more.as_ref();
         [
@@ -263,8 +264,8 @@ impl Subscription {
         Some(ServerFrame::Places(places))
     }
 
-    /// The frame about held-back scripts. It is repeated while any script is held back, for a monitor that records and
-    /// missed the first frame, and comes once more when none is.
+    /// The frame about held-back scripts. It is repeated while any script is held back, because a monitor that records
+    /// may have missed the first frame. It is sent once more when no script is held back any more.
     fn held_back(&mut self, showing: &Showing, now: Instant) -> Option<ServerFrame> {
         let (told, at) = self.more.as_mut()?.held_back.as_mut().filter(|(_, at)| *at <= now)?;
         *at = now + HELD_BACK_PERIOD;
@@ -299,7 +300,7 @@ fn period(us: u32) -> Duration {
     Duration::from_micros(us.into()).max(LEAST_PERIOD)
 }
 
-/// Follows the wanted events, from now on or from where the previous subscription stood.
+/// Begins to follow the wanted events, from now on or from the position of the previous subscription.
 fn following(
     wanted: Option<EventFilter>,
     before: Option<Following>,

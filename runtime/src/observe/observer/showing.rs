@@ -1,4 +1,4 @@
-//! What a node shows besides its own state, and to which monitors.
+//! What an observer shows of a node besides the node's own state, and to which monitors.
 
 use super::{Observer, ObserverError};
 use crate::lock::lock;
@@ -46,7 +46,7 @@ pub struct Showing {
 }
 
 impl Showing {
-    /// Shows `node`, and over TCP to everybody who can reach it.
+    /// Shows `node`, and over TCP shows it to everybody who can reach the address.
     #[must_use]
     pub fn new(node: Arc<Node>) -> Self {
         Self { node, token: None, recording: None, book: AddressBook::default(), beside: None }
@@ -84,7 +84,8 @@ impl Showing {
         let path = place::prepare_socket(cell, self.node.name(), std::process::id())?;
         for socket in place::sockets_in(&place::base_dir())? {
             if socket.parent() == path.parent() {
-                // If the socket is not there, belongs to another user or has a live process, it stays.
+                // If there is no socket at that path, or it belongs to another user or to a running process, this
+                // changes nothing.
                 let _ = place::remove_if_stale(&socket);
             }
         }
@@ -108,7 +109,8 @@ impl Showing {
         Observer::serve_tcp(self, address)
     }
 
-    /// The addresses of the other nodes of the cell: sockets beside this node's, or addresses that this node was given.
+    /// The addresses of the other nodes of the cell: sockets in the folder of this node's socket, or addresses that
+    /// this node was given.
     pub(super) fn places(&self) -> Places {
         let Some(own) = &self.beside else { return Places { nodes: self.book.places() } };
         let sockets = own.parent().and_then(Path::parent).map(place::sockets_in);

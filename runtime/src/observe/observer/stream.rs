@@ -12,7 +12,7 @@ pub(super) enum Listener {
     Tcp(TcpListener),
 }
 
-/// A connection.
+/// The connection of a monitor.
 pub(super) enum Stream {
     Unix(UnixStream),
     Tcp(TcpStream),
@@ -30,7 +30,7 @@ impl Listener {
         }
     }
 
-    /// Accepts a new connection; `None` if its user may not look.
+    /// Accepts a new connection; `None` if its user is not allowed to look.
     pub fn accept(&self) -> io::Result<Option<Stream>> {
         match self {
             Self::Unix(listener) => {
@@ -40,7 +40,7 @@ impl Listener {
             // Every monitor that reaches the address may look, because the program that opened the address has decided so.
             Self::Tcp(listener) => {
                 let (stream, _) = listener.accept()?;
-                // If this fails, the connection is only slower.
+                // If this option cannot be set, the connection is only slower.
                 let _ = stream.set_nodelay(true);
                 Ok(Some(Stream::Tcp(stream)))
             }

@@ -1,4 +1,4 @@
-//! Applies a delta to a snapshot, after checking that it fits.
+//! Applies a delta to a snapshot, after checking that the delta fits.
 
 use super::age::{
     age_parts, age_timers, age_transit, aged, aged_facts, aged_link, aged_state, counters, counters_of,
@@ -10,7 +10,7 @@ use crate::obs::snapshot::{Count, Snapshot, TaskSnapshot};
 use imrs_protocol::{PortCounters, PortId, PortView, TaskView};
 
 impl Snapshot {
-    /// Changes this snapshot into the one that `delta` leads to.
+    /// Changes this snapshot into the snapshot that `delta` describes.
     ///
     /// # Errors
     /// [`DeltaError`]; the snapshot is unchanged then.
@@ -58,7 +58,7 @@ impl Snapshot {
     }
 }
 
-/// Calls `change` for each changed element. [`fits`] has checked that they all exist.
+/// Calls `change` for each changed element. [`fits`] has checked that all these elements exist.
 fn each<T, P>(list: &mut [T], parts: &[At<P>], mut change: impl FnMut(&mut T, &P)) {
     let mut rest = list.iter_mut();
     for part in parts {
@@ -109,7 +109,7 @@ fn grow(counts: &mut Vec<Count>, change: &Changed<u64, Count>) {
     }
 }
 
-/// Checks that everything that `delta` changes exists.
+/// Checks that every element that `delta` changes exists.
 fn fits(snapshot: &Snapshot, delta: &Delta) -> Result<(), DeltaError> {
     match &delta.tasks {
         Changed::Whole(tasks) => tasks.iter().try_for_each(fits_anew)?,

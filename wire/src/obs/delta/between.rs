@@ -21,7 +21,7 @@ impl Delta {
         self.base_us.is_none()
     }
 
-    /// The delta that leads from `old` to `new`.
+    /// The delta that changes `old` into `new`.
     #[must_use]
     pub fn between(old: &Snapshot, new: &Snapshot) -> Self {
         let passed = new.mono_us.wrapping_sub(old.mono_us);

@@ -1,7 +1,7 @@
-//! Deltas: what changed from one snapshot to the next. The mere passing of time is not sent.
+//! Deltas: the changes from one snapshot to the next. The mere passing of time is not sent.
 //!
-//! Remaining times are compared as deadlines. If the previous snapshot, aged by the time that passed, equals the new
-//! one, nothing is sent. So an idle node costs a few bytes per period. For any two snapshots,
+//! Remaining times are compared as deadlines. If the previous snapshot, aged by the time since then, equals the new
+//! snapshot, nothing is sent. So an idle node costs a few bytes per period. For any two snapshots,
 //! `old.apply(&Delta::between(&old, &new))` gives `new`. A whole snapshot is encoded as the delta from the empty
 //! snapshot.
 
@@ -14,7 +14,7 @@ use imrs_protocol::{Class, MeetingView, QueueEntry, TaskId, TaskState, Ticks, Tr
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// How many counters a port has.
+/// The number of counters of a port.
 const COUNTERS: usize = 11;
 
 /// A part of a list that changed.
@@ -35,17 +35,17 @@ pub enum Changed<P, W> {
     Whole(Vec<W>),
 }
 
-/// What changed between two snapshots of one node.
+/// The changes between two snapshots of one node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Delta {
-    /// [`Snapshot::mono_us`](super::Snapshot::mono_us) of the snapshot to which it applies. `None`: the delta is whole,
-    /// and replaces any snapshot.
+    /// [`Snapshot::mono_us`](super::Snapshot::mono_us) of the snapshot to which the delta applies. `None` if the delta
+    /// is whole, and replaces any snapshot.
     pub base_us: Option<u64>,
     /// The time between the two samples, in microseconds; for a whole delta, the time since the origin of the clock.
     pub passed_us: u64,
-    /// The fields of the node that belong to no part, if they changed.
+    /// The fields of the node itself, if they changed.
     pub node: Option<NodeFacts>,
-    /// The node's tasks.
+    /// The changes of the node's tasks.
     pub tasks: Changed<TaskChange, TaskAnew>,
     /// By how much the transit buffer's own time advanced, in microseconds.
     pub transit_passed_us: u64,
@@ -53,7 +53,7 @@ pub struct Delta {
     pub transit: Option<TransitView>,
     /// The entries of the node's Timer, if more than their remaining times changed.
     pub timers: Option<Vec<TimerEntry>>,
-    /// The entries of the node's Timer, if more than their time changed.
+    /// The node's links.
     pub links: Changed<LinkView, LinkView>,
     /// By how much the counters of the messages that the node's state machines dropped have grown.
     pub discards: Changed<u64, Count>,
@@ -61,7 +61,7 @@ pub struct Delta {
     pub link_discards: Changed<u64, Count>,
 }
 
-/// The fields of a node that belong to no part.
+/// The fields of a snapshot that belong to the node itself, not to one of its tasks, buffers or links.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NodeFacts {
     /// [`Snapshot::uptime_us`](super::Snapshot::uptime_us).
@@ -75,7 +75,7 @@ pub struct NodeFacts {
 /// The change of a task.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum TaskChange {
-    /// Some of its parts changed.
+    /// Some parts of the task changed.
     Parts(TaskParts),
     /// The task's identity, its ports or the number of its meetings differ from before.
     Anew(TaskAnew),
@@ -90,9 +90,9 @@ pub struct TaskParts {
     pub liveness: Option<Liveness>,
     /// The task's state, if more than the time changed.
     pub state: Option<TaskState>,
-    /// The task's ports.
+    /// The changed ports of the task.
     pub ports: Vec<At<PortChange>>,
-    /// The task's `waitfor` ports.
+    /// The changed `waitfor` ports of the task.
     pub meetings: Vec<At<MeetingView>>,
 }
 
@@ -150,13 +150,13 @@ pub struct Waiting {
     pub queue: Vec<QueueEntry>,
 }
 
-/// Why a delta cannot be applied. The snapshot stays unchanged.
+/// Why a delta cannot be applied. The snapshot is unchanged then.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum DeltaError {
     /// The delta applies to another snapshot.
     #[error("a change of the snapshot at {wanted} us, the last one is of {have} us")]
     OtherBase {
-        /// The sample time of the snapshot to which it applies, in microseconds.
+        /// The sample time of the snapshot to which the delta applies, in microseconds.
         wanted: u64,
         /// The sample time of the present snapshot, in microseconds.
         have: u64,
@@ -164,7 +164,7 @@ pub enum DeltaError {
     /// The delta changes a part that the snapshot does not have.
     #[error("a change of something that the snapshot does not have")]
     NoSuchPart,
-    /// The number of growths differs from the number of counters named, or a named counter does not exist.
+    /// The delta does not give one growth for each counter that it names, or it names a counter that does not exist.
     #[error("a change of counters that is not one for each")]
     OtherCounters,
 }

@@ -2,14 +2,14 @@
 
 use crate::cell::run_state::{CellMove, RunState};
 
-/// An actor in a tick.
+/// What may act in a tick.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Who {
     /// An action: task and activation.
     Action(u8, u8),
-    /// The packets at the end of a directed link.
+    /// The packets that are at the end of a directed link.
     Line(usize),
-    /// A task that takes an input, or scripts that begin.
+    /// A waiting input that a task takes, or scripts that begin.
     Input(CellMove),
 }
 
@@ -26,7 +26,7 @@ pub(super) fn who(run_state: &RunState, step: CellMove) -> Option<Who> {
     }
 }
 
-/// Whether a move is one of a node that has something to do in this tick.
+/// Whether a move is one that a node makes when it has something to do in this tick.
 pub(super) const fn is_of_a_turn(step: CellMove) -> bool {
     !matches!(
         step,

@@ -1,4 +1,4 @@
-//! The future of one wait, and what happens when it is dropped.
+//! The future of one wait of a program, and what happens when this future is dropped.
 
 use super::AsyncContext;
 use crate::api::context::outcome::TaskError;
@@ -68,7 +68,7 @@ impl<S> Drop for Asking<'_, S> {
             return;
         }
         if std::thread::panicking() {
-            // No handler may run during a panic: the task has crashed, and gives everything up.
+            // No handler may run during a panic: the task has crashed, and cancels all its requests.
             return self.context.caller.give_up();
         }
         self.context.withdraw();

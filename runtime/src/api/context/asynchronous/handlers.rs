@@ -9,7 +9,7 @@ use std::rc::Rc;
 use std::time::Duration;
 
 impl<S> AsyncContext<S> {
-    /// From here on, the handler takes the messages of this port: [`receive`](Self::receive) without a port skips it.
+    /// From this call on, the handler takes the messages of this port: [`receive`](Self::receive) without a port skips it.
     ///
     /// # Errors
     /// [`Fault::WrongUsage`] if the task does not receive on this port; when the handler runs, [`TaskError::NotThisType`].
@@ -24,8 +24,8 @@ impl<S> AsyncContext<S> {
         })
     }
 
-    /// Answers each query or command of this port with what the handler returns. An answer that comes too late is dropped: its
-    /// sender has its outcome already.
+    /// Answers each query or command of this port with what the handler returns. An answer that comes too late is
+    /// dropped: the sender of the request has its outcome already.
     ///
     /// # Errors
     /// The errors of [`on_message`](Self::on_message).
@@ -54,7 +54,7 @@ impl<S> AsyncContext<S> {
         Ok(())
     }
 
-    /// Sets what is done when this timer of the task ends (Figure 3).
+    /// Sets the handler that runs when this timer of the task ends (Figure 3).
     pub fn on_timer(&mut self, timer: TimeId, handler: impl Fn(&mut S) -> Result<(), TaskError> + 'static) {
         self.timers.retain(|(of, _)| *of != timer);
         self.timers.push((timer, Rc::new(handler)));
@@ -90,7 +90,7 @@ impl<S> AsyncContext<S> {
         Ok(())
     }
 
-    /// Runs the handler for `call`. The answer was given `age` ago.
+    /// Runs the handler for `call`. The communication task gave the call out, and `age` is the time since then.
     pub(super) fn interrupted(&mut self, call: Call, age: Ticks) -> Result<(), TaskError> {
         let done = match call {
             Call::Message(message) => {

@@ -28,24 +28,24 @@ type OnTimer<S> = Rc<dyn Fn(&mut S) -> Result<(), TaskError>>;
 /// A call makes its request when its future is first polled. The future of a call that waits may be dropped before it is ready, as `select!` does. The communication task then cancels the
 /// wait ([`Request::Cancel`]):
 ///
-/// - a `receive` is taken back. A message that had come by then is kept for the next `receive` that it suits, unless it expires
-///   before that;
-/// - a `delay`, or a wait for the `lease`, is over;
-/// - a task that leaves a `waitfor` tells the others, as on time_out;
+/// - a `receive` is taken back. A message that the task was given by then is kept for the next `receive` that it suits,
+///   unless it expires before that;
+/// - a `delay`, or a wait for the `lease`, ends;
+/// - a task that leaves a `waitfor` tells the other members, as on time_out;
 /// - the answer to a command or a query is lost: the other task may have acted.
 ///
 /// # Handlers
 ///
-/// A handler runs where the program waits in a call of this type, as [`order`](Self::order) ranks it. It is no future, and gets
-/// only the state. A handler that must wait belongs to a task with a thread, or to a script. If a handler fails, every later call
-/// of the program returns its error.
+/// A handler runs where the program waits in a call of this type, as [`order`](Self::order) ranks it. A handler is a
+/// plain function, no future, and gets only the state. A handler that must wait belongs to a task with a thread, or to
+/// a script. If a handler fails, every later call of the program returns its error.
 pub struct AsyncContext<S = ()> {
-    /// What the program and its handlers share.
+    /// The state that the program and its handlers share.
     pub state: S,
     caller: Caller,
     messages: Vec<(PortId, OnMessage<S>)>,
     timers: Vec<(TimeId, OnTimer<S>)>,
-    /// Messages that came for a dropped `receive`, and when.
+    /// Messages that the task was given for a `receive` whose future was dropped, each with the time of its arrival.
     kept: Vec<(Delivery, Micros)>,
 }
 
@@ -64,7 +64,7 @@ impl<S> AsyncContext<S> {
         Self { state, caller, messages: Vec::new(), timers: Vec::new(), kept: Vec::new() }
     }
 
-    /// The task.
+    /// The task's number in the cell.
     #[must_use]
     pub fn id(&self) -> TaskId {
         self.caller.task()
@@ -156,8 +156,8 @@ impl<S> AsyncContext<S> {
         self.received(port, None, Some(Duration::ZERO)).await
     }
 
-    /// What `work` sends leaves together: see [`Context::together`](crate::Context::together). `work` is no future, so it cannot
-    /// wait for what it asks.
+    /// The messages that `work` sends leave together: see [`Context::together`](crate::Context::together). `work` is no
+    /// future, so it cannot wait for answers.
     pub fn together<R>(&mut self, work: impl FnOnce(&mut Self) -> R) -> R {
         let before = self.caller.hold(true);
         let done = work(self);
@@ -168,7 +168,7 @@ impl<S> AsyncContext<S> {
     /// Answers a received class-2 message.
     ///
     /// # Errors
-    /// `Fault::Late` if the sender no longer waits: it will not hear this answer.
+    /// `Fault::Late` if the sender no longer waits: it will not get this answer.
     pub fn reply(&mut self, to: &ReplyTo, contents: &[u8]) -> Result<(), TaskError> {
         at_once(self.replied(to, contents))
     }
@@ -208,7 +208,7 @@ impl<S> AsyncContext<S> {
         self.met(port, [0; 8], None).await
     }
 
-    /// As [`waitfor`](Self::waitfor), with arguments for the others, or with a shorter time_out than the port's.
+    /// As [`waitfor`](Self::waitfor), with arguments for the other members, or with a shorter time_out than the port's.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -253,7 +253,7 @@ impl<S> AsyncContext<S> {
         at_once(self.publishes(bytes))
     }
 
-    /// What the partner's last answer to a heartbeat carried; `None` before the first one.
+    /// The data that the partner's last answer to a heartbeat carried; `None` before the first answer.
     #[must_use]
     pub fn published(&mut self) -> Option<Contents> {
         self.caller.look(|comm| comm.machine().partner_published().copied())
@@ -286,7 +286,7 @@ impl<S> AsyncContext<S> {
         done
     }
 
-    /// Cancels the wait. Handlers that are due run first; a message that has come is kept.
+    /// Cancels the wait. Handlers that are due run first. A message that the task was given already is kept.
     fn withdraw(&mut self) {
         let mut next = Request::Cancel;
         loop {
@@ -325,7 +325,7 @@ impl<S> Calls for AsyncContext<S> {
         !self.kept.is_empty()
     }
 
-    /// A message that came for a dropped call and has not expired.
+    /// A message that the task was given for a dropped call, and that has not expired.
     fn kept(&mut self, port: Option<PortId>, source: Option<TaskId>) -> Option<Delivery> {
         let suits = |delivery: &Delivery| {
             port.is_none_or(|port| port == delivery.from.port)
@@ -348,7 +348,7 @@ struct Section<'a, S>(&'a mut AsyncContext<S>);
 impl<S> Drop for Section<'_, S> {
     fn drop(&mut self) {
         self.0.caller.atomic = false;
-        // Refused only if the task is at its end; then nothing interrupts it any more.
+        // The communication task refuses this only if the task has ended; then no handler interrupts the task any more.
         let _ = at_once(self.0.accepted(Request::Atomic(false)));
     }
 }

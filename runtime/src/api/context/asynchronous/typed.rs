@@ -30,7 +30,8 @@ impl<S> AsyncContext<S> {
         self.asked(port, Target::All, question, None).await
     }
 
-    /// As [`query`](Self::query), to one of several tasks at the other end, or with a shorter TTL than the port's.
+    /// As [`query`](Self::query), to one of several tasks at the other end of the port, or with a shorter TTL than the
+    /// port's.
     ///
     /// # Errors
     /// The errors of [`query`](Self::query).
@@ -71,10 +72,11 @@ impl<S> AsyncContext<S> {
         self.taken(port, time_out).await
     }
 
-    /// Reads the message that was taken last, with all its fragments.
+    /// Reads the message that the task took last, with all its fragments.
     ///
     /// # Errors
-    /// [`TaskError::NotThisType`]; [`TaskError::Gone`] if a message of several packets is read after another was taken.
+    /// [`TaskError::NotThisType`]; [`TaskError::Gone`] if the message has several packets and the task has taken
+    /// another message since.
     pub fn read<M: Message>(&mut self, delivery: &Delivery) -> Result<M, TaskError> {
         decoded(&self.caller.whole(delivery)?)
     }

@@ -1,17 +1,18 @@
-//! What holds of two nodes with keys whatever the network does to their datagrams. The fuzz target `keys` runs this, too.
+//! Properties of two nodes with keys that hold whatever the network does to their datagrams. The fuzz target `keys`
+//! checks them, too.
 
 use super::NodeKeys;
 use super::rig::{End, MS, end, ends, keys};
 use std::sync::LazyLock;
 
-/// The keys of all runs: to draw them costs more than a run.
+/// The keys of all runs, drawn once, because drawing them costs more than a run.
 static KEYS: LazyLock<[NodeKeys; 2]> = LazyLock::new(keys);
 /// How many datagrams the network holds, at most.
 const FLYING: usize = 64;
 /// From how many counters each start of a node takes its own, so that those of two starts differ.
 const COUNTERS: u64 = 1 << 33;
 
-/// A network that does with datagrams what the bytes say.
+/// A network that treats datagrams as the bytes of the fuzzer say.
 struct Network<'a> {
     bytes: &'a [u8],
     ends: [End; 2],
@@ -23,7 +24,8 @@ struct Network<'a> {
     flying: Vec<(usize, Vec<u8>)>,
 }
 
-/// Lets the network deliver, lose, repeat, hold back, change and make up datagrams, and start nodes again, as the bytes say.
+/// Lets the network deliver, lose, repeat, hold back, change and forge datagrams, and restart nodes, as the bytes of
+/// the fuzzer say.
 ///
 /// # Panics
 /// A counter is taken in that the other end has not used, or twice; or the two do not talk once the network leaves their datagrams
@@ -74,7 +76,7 @@ impl Network<'_> {
             }
             2 => self.now += 1 << (self.some(36) as u64),
             3 => self.restart(me),
-            // Bytes that neither of them made.
+            // Bytes that neither node made.
             4 => {
                 let length = self.some(256).min(self.bytes.len());
                 let (made_up, rest) = self.bytes.split_at(length);
@@ -89,9 +91,9 @@ impl Network<'_> {
                 let (to, mut bytes) = self.flying[at].clone();
                 match what {
                     5 => drop(self.flying.remove(at)),
-                    // A copy that comes later, too.
+                    // A copy of the datagram arrives now, and another copy may arrive later.
                     6 => self.arrive(to, &bytes),
-                    // Reflected.
+                    // The datagram is reflected to its sender.
                     7 => self.arrive(1 - to, &bytes),
                     8 | 9 => {
                         let (place, by) = (self.some(bytes.len()), self.byte().unwrap_or(1));
@@ -112,7 +114,7 @@ impl Network<'_> {
     }
 
     fn arrive(&mut self, to: usize, bytes: &[u8]) {
-        // Why a datagram is dropped does not matter here.
+        // For this check it does not matter why a datagram is dropped.
         let reply = self.ends[to].take(bytes, self.now).unwrap_or_default();
         self.send(1 - to, reply);
     }

@@ -12,11 +12,12 @@ use snow::HandshakeState;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// After how long the first attempt at a session is given up, in microseconds. Each further one gets twice as long.
+/// After how long the first attempt at a session is given up, in microseconds. Each further attempt gets twice as long
+/// as the one before.
 const RETRY: u64 = 50_000;
-/// After how long any attempt is given up.
+/// The longest time after which an attempt at a session is given up, in microseconds.
 const LONGEST_RETRY: u64 = 1_600_000;
-/// A cookie is valid in the span in which it was made, and in the next one.
+/// The length of a span, in microseconds. A cookie is valid in the span in which it was made, and in the next one.
 const COOKIE_SPAN: u64 = 10_000_000;
 /// How many answered initiations are kept, at most, to answer copies alike.
 const ANSWERED: usize = 64;
@@ -26,25 +27,25 @@ type Nonce = [u8; NONCE_BYTES];
 /// Makes sessions with one neighbour, and keeps them.
 pub(in crate::link::udp) struct Channel {
     keys: NodeKeys,
-    /// This node and the neighbour.
+    /// This node, and the neighbour.
     me: NodeId,
     peer: NodeId,
     /// The neighbour's public key.
     public: [u8; KEY_BYTES],
-    /// The start of this node.
+    /// Identifies this start of this node.
     session: Session,
     digests: Digests,
-    /// What closes datagrams of handshakes.
+    /// The key that closes datagrams of handshakes.
     closing: SecretKey,
-    /// What makes cookies. Drawn at each start.
+    /// The key that makes cookies, drawn anew at each start of the node.
     cookies: SecretKey,
-    /// The upper half of each index of this node.
+    /// The upper half of each session index that this node gives.
     place: u16,
     /// The lower half of the last one. The first is drawn, so that an index of an earlier start is most likely none of this one.
     indices: u16,
     pub(super) sessions: Sessions,
     pub(super) making: Option<Making>,
-    /// When the present attempt began, and how long it may take.
+    /// When the present attempt at a session began, and how long it may take.
     pub(super) tried: Option<(u64, u64)>,
     /// When the neighbour was last greeted again, and after how long the next greeting is due.
     greeted: Option<(u64, u64)>,
@@ -54,26 +55,27 @@ pub(in crate::link::udp) struct Channel {
 /// An attempt at a session that this node has begun.
 pub(super) struct Making {
     nonce: Nonce,
-    /// The Noise handshake and the index of the session, once the cookie has come.
+    /// The Noise handshake and the index of the session, once the neighbour's cookie has arrived.
     noise: Option<(Box<HandshakeState>, u32)>,
 }
 
-/// What a datagram of a handshake leads to.
+/// The effect of a datagram of a handshake.
 #[derive(Debug, PartialEq, Eq)]
 pub(in crate::link::udp) enum Answer {
-    /// To nothing: it is a copy, or of an earlier attempt.
+    /// The datagram has no effect: it is a copy, or belongs to an earlier attempt.
     Nothing,
-    /// This goes to the neighbour.
+    /// This datagram must be sent to the neighbour.
     Send(HandshakeBytes),
-    /// There is a session. The neighbour uses it once it has a datagram of it.
+    /// A session was made. The neighbour uses it once it has received a datagram that this session closed.
     Made,
-    /// The two cannot talk. `here`: this node says so, otherwise the neighbour. The reply goes to the neighbour.
+    /// The two nodes cannot communicate. `here` is true if this node says so, false if the neighbour does. `reply` must
+    /// be sent to the neighbour.
     Refused { why: Refused, theirs: Digests, here: bool, reply: Option<HandshakeBytes> },
 }
 
 impl Channel {
-    /// For the neighbour `peer` of `me`, whose start is `session`. `place`: a number that no other neighbour has. `None` without
-    /// the neighbour's public key.
+    /// Makes the channel of node `me` to its neighbour `peer`. `session` is this start of `me`, and `place` a number
+    /// that no other neighbour of `me` has. Returns `None` if `keys` lacks the neighbour's public key.
     ///
     /// # Errors
     /// [`NoRandom`].
@@ -111,7 +113,7 @@ impl Channel {
         }))
     }
 
-    /// The session that closes what this node sends: the newest one that the neighbour has.
+    /// The session that closes the datagrams that this node sends: the newest session that the neighbour has, too.
     pub(in crate::link::udp) fn sending(&self) -> Option<&Arc<Live>> {
         self.sessions.sending()
     }
@@ -151,7 +153,7 @@ impl Channel {
         is_due
     }
 
-    /// Whether a new session is wanted before the datagram with this counter.
+    /// Whether a new session should be made before the datagram with this counter is sent.
     pub(in crate::link::udp) fn wants(&mut self, now: u64, counter: u64) -> bool {
         self.sessions.retire(now);
         self.sending().is_none_or(|live| live.is_old(now, counter))
@@ -176,11 +178,11 @@ impl Channel {
         Some(self.close(nonce, Step::Hello(self.digests)))
     }
 
-    /// Takes in a datagram of a handshake, `bytes`, of which `said` is the content.
+    /// Handles a datagram of a handshake: `bytes` is the datagram, `said` its content.
     ///
     /// # Errors
-    /// [`LinkDiscard::OtherKeys`] if it was closed with other keys, [`LinkDiscard::StaleSession`] if it belongs to nothing that
-    /// this node knows. Then nothing has changed.
+    /// [`LinkDiscard::OtherKeys`] if other keys closed the datagram, [`LinkDiscard::StaleSession`] if it belongs to no
+    /// session or attempt of this node. Then nothing has changed.
     pub(in crate::link::udp) fn heard(
         &mut self,
         bytes: &[u8],
@@ -208,7 +210,7 @@ impl Channel {
         }
     }
 
-    /// What was closed with another cell's key is no proof of anything. Without a session it is a hint, for people.
+    /// A datagram that another cell's key closed proves nothing. While there is no session, it is a hint for the users.
     fn unclosed(&self, said: &Handshake<'_>) -> Result<Answer, LinkDiscard> {
         let other_keys = Refused::OtherKeys as u8;
         let awaited = self.making.as_ref().is_some_and(|making| making.nonce == said.nonce);
@@ -261,7 +263,7 @@ impl Channel {
         }
         let mut noise = self.noise((self.peer, self.me), |noise| noise.build_responder())?;
         let Ok(started) = read(&mut noise, first) else {
-            // The cell's key is right, and the key of a node is not.
+            // The cell's key is right, but the key of a node is not.
             let (why, reply) = (Refused::OtherKeys, Some(self.refusal(nonce, Refused::OtherKeys)));
             return Ok(Answer::Refused { why, theirs: self.digests, here: true, reply });
         };
@@ -298,7 +300,7 @@ impl Channel {
         Ok(Answer::Made)
     }
 
-    /// Keeps a session with the start `started` of the neighbour.
+    /// Stores a new session with the start `started` of the neighbour.
     fn enter(
         &mut self,
         noise: HandshakeState,
@@ -313,7 +315,7 @@ impl Channel {
         Ok(())
     }
 
-    /// A Noise handshake of the two nodes, the initiator first.
+    /// Makes a Noise handshake of the two nodes; `initiator` and responder are given in this order.
     fn noise(
         &self,
         (initiator, responder): (NodeId, NodeId),
@@ -336,7 +338,7 @@ impl Channel {
         made().map_err(|_: snow::Error| LinkDiscard::OtherKeys)
     }
 
-    /// The next Noise message, with the start of this node.
+    /// Writes the next Noise message, which carries the session number of this node's start.
     fn write(&self, noise: &mut HandshakeState) -> Result<[u8; NOISE_BYTES], LinkDiscard> {
         let mut message = [0; NOISE_BYTES];
         let written = noise.write_message(&self.session.0.to_le_bytes(), &mut message);
@@ -367,7 +369,7 @@ impl Channel {
     }
 }
 
-/// Reads a Noise message: the start of the neighbour.
+/// Reads a Noise message. Returns the session number of the neighbour's start.
 fn read(noise: &mut HandshakeState, message: &[u8; NOISE_BYTES]) -> Result<Session, snow::Error> {
     let mut started = [0; NOISE_BYTES];
     noise.read_message(message, &mut started)?;

@@ -1,4 +1,4 @@
-//! One session with keys: closes and opens the datagrams between one start of this node and one of a neighbour.
+//! One session with keys: it closes and opens the datagrams between one start of this node and one start of a neighbour.
 
 use crate::link::LinkDiscard;
 use crate::lock::lock;
@@ -9,28 +9,28 @@ use std::fmt;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// After how long a session is replaced, in microseconds: by its initiator.
+/// The age at which the initiator of a session replaces it, in microseconds.
 const REPLACE_AFTER: u64 = 3_600_000_000;
-/// How much longer its responder waits for that, before it does so itself.
+/// How much longer the responder of a session waits before it replaces the session itself, in microseconds.
 const PATIENCE: u64 = 60_000_000;
-/// After how many datagrams.
+/// The number of datagrams after which a session is replaced.
 const REPLACE_AFTER_DATAGRAMS: u64 = 1 << 32;
 /// After how long its initiator replaces a session in which the neighbour has sent nothing.
 const ANSWERED_WITHIN: u64 = 10_000_000;
 /// For something that has not happened.
 const NEVER: u64 = u64::MAX;
 
-/// A session whose keys both sides can have.
+/// A session whose keys both nodes can have.
 pub(in crate::link::udp) struct Live {
-    /// This node's index of it, and the neighbour's.
+    /// The indices of the session: this node's, and the neighbour's.
     pub(super) index: u32,
     theirs: u32,
-    /// What is true of each datagram of the neighbour.
+    /// The properties that each datagram of the neighbour must have in this session.
     pub(super) bound: Bound,
     transport: StatelessTransportState,
     window: Mutex<ReplayWindow>,
     is_initiator: bool,
-    /// When it was made.
+    /// When the session was made.
     pub(super) born: u64,
     /// When the first datagram of the neighbour was opened with it; [`NEVER`] before.
     heard: AtomicU64,
@@ -69,10 +69,10 @@ impl Live {
         }
     }
 
-    /// Closes a datagram. Each counter may be used once for all sessions with a neighbour: it is the nonce.
+    /// Closes a datagram. Each counter may be used only once in all sessions with a neighbour, because it is the nonce.
     ///
     /// # Errors
-    /// The datagram is longer than any can be.
+    /// If the datagram is longer than the greatest length.
     pub(in crate::link::udp) fn seal(
         &self,
         datagram: &mut Datagram,
@@ -84,10 +84,10 @@ impl Live {
         datagram.seal_keyed(envelope, self.theirs, close).map(|_| ())
     }
 
-    /// Opens a datagram into `room`, and enters its counter. Nothing changes before the tag is verified.
+    /// Opens a datagram into `room`, and records its counter. Nothing changes before the tag is verified.
     ///
     /// # Errors
-    /// [`LinkDiscard::Replayed`], [`LinkDiscard::Forged`], or why its content is none.
+    /// [`LinkDiscard::Replayed`], [`LinkDiscard::Forged`], or the reason for which the content is invalid.
     pub(in crate::link::udp) fn open<'a>(
         &self,
         counter: u64,
@@ -98,7 +98,7 @@ impl Live {
             return Err(LinkDiscard::Replayed);
         }
         let length = self.transport.read_message(counter, closed, room).map_err(|_| LinkDiscard::Forged)?;
-        // Another thread may have opened a copy meanwhile.
+        // Another thread may have opened a copy of the datagram since the first check of the counter.
         if !lock(&self.window).accept(counter) {
             return Err(LinkDiscard::Replayed);
         }
@@ -153,7 +153,7 @@ impl Live {
         if one == two { is_later(of_lower(self), of_lower(other)) } else { is_later(one, two) }
     }
 
-    /// Whether it is time for another one, when the next datagram has this counter.
+    /// Whether it is time to replace the session, if the next datagram has this counter.
     pub(super) fn is_old(&self, now: u64, counter: u64) -> bool {
         let after = if self.is_initiator { REPLACE_AFTER } else { REPLACE_AFTER + PATIENCE };
         let first = self.first.load(Ordering::Relaxed);

@@ -1,4 +1,4 @@
-//! Keys between nodes: who may make a session with whom, and how its datagrams are closed (D191).
+//! Keys between nodes: which nodes may make a session with each other, and how the datagrams of a session are closed (D191).
 //!
 //! Nothing here has a socket or reads a clock. A `Channel` makes the sessions with one neighbour, and a `Live` session closes and
 //! opens datagrams. The handshake is Noise KKpsk0, behind an exchange of a cookie:
@@ -12,9 +12,9 @@
 //!   a datagram             --->    the responder uses it from here on
 //! ```
 //!
-//! Each datagram of a handshake is closed by a hash keyed with the cell's key, so that who has no key costs one hash. A cookie is
-//! valid for some seconds of one start of the responder, so that a recorded initiation costs one hash more, and nothing is ever
-//! computed or kept for it.
+//! A hash with the cell's key closes each datagram of a handshake. So a datagram of a process without that key costs
+//! one hash. A cookie is valid for some seconds within one start of the responder. So a recorded initiation costs one
+//! hash more, and the responder never computes or keeps anything for it.
 
 #[cfg(any(test, feature = "fuzzing"))]
 pub mod bytes;
@@ -42,16 +42,17 @@ use std::fmt;
 use std::sync::Arc;
 use zeroize::Zeroizing;
 
-/// Bytes of each key.
+/// How many bytes each key has.
 pub const KEY_BYTES: usize = 32;
 
 /// A key that is erased from memory when it is dropped.
 pub type SecretKey = Zeroizing<[u8; KEY_BYTES]>;
 
-/// Handshake, cipher and hash.
+/// The name of the Noise protocol: handshake, cipher and hash.
 const PATTERN: &str = "Noise_KKpsk0_25519_ChaChaPoly_BLAKE2s";
 
-/// The keys of one node: its own, the public ones of its neighbours, and the key of the cell. Clones share them.
+/// The keys of one node: its own private key, the public keys of its neighbours, and the key of the cell. Clones share
+/// the keys.
 #[derive(Clone)]
 pub struct NodeKeys(Arc<Secrets>);
 
@@ -68,13 +69,13 @@ impl fmt::Debug for NodeKeys {
 }
 
 impl NodeKeys {
-    /// The keys of a node: the cell's, its private one, and the public ones of other nodes.
+    /// Makes the keys of a node from the cell's key, the node's private key, and the public keys of other nodes.
     #[must_use]
     pub fn new(cell: SecretKey, private: SecretKey, publics: BTreeMap<NodeId, [u8; KEY_BYTES]>) -> Self {
         Self(Arc::new(Secrets { cell, private, publics }))
     }
 
-    /// Whether it has the public key of a node.
+    /// Whether these keys contain the public key of a node.
     #[must_use]
     pub fn has(&self, node: NodeId) -> bool {
         self.0.publics.contains_key(&node)
@@ -86,7 +87,7 @@ impl NodeKeys {
 #[error("the system gives no random numbers")]
 pub struct NoRandom;
 
-/// Draws a key of a cell.
+/// Draws a random key for a cell.
 ///
 /// # Errors
 /// [`NoRandom`].
@@ -96,7 +97,7 @@ pub fn draw_cell_key() -> Result<SecretKey, NoRandom> {
     Ok(key)
 }
 
-/// Draws the private key of a node, and its public one.
+/// Draws a random private key for a node. Returns it with its public key.
 ///
 /// # Errors
 /// [`NoRandom`].
@@ -120,7 +121,7 @@ fn tag(key: &[u8; KEY_BYTES], bytes: &[&[u8]]) -> [u8; TAG_BYTES] {
     hash(key, bytes).finalize().into_bytes().into()
 }
 
-/// Whether a keyed hash is right. Takes as long for a wrong one.
+/// Whether a keyed hash is right. The comparison takes as long if the hash is wrong.
 fn is_tag(key: &[u8; KEY_BYTES], bytes: &[&[u8]], tag: &[u8; TAG_BYTES]) -> bool {
     hash(key, bytes).verify(tag.into()).is_ok()
 }

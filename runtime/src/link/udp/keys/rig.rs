@@ -1,4 +1,4 @@
-//! Two nodes with keys and a network between them, without sockets: what the tests and the fuzz target `keys` share.
+//! Two nodes with keys and a network between them, without sockets, for the tests and the fuzz target `keys`.
 
 use super::*;
 use crate::link::LinkDiscard;
@@ -15,7 +15,7 @@ pub(super) struct End {
     pub(super) me: usize,
     pub(super) channel: Channel,
     pub(super) counter: u64,
-    /// The counters that it opened, in order.
+    /// The counters of the datagrams that this node opened, in order.
     pub(super) opened: Vec<u64>,
 }
 
@@ -61,7 +61,7 @@ impl End {
         Some(datagram.sealed().to_vec())
     }
 
-    /// Takes a datagram in as the link does. Returns the answer.
+    /// Handles a datagram as the link does. Returns the answer.
     pub(super) fn take(&mut self, bytes: &[u8], now: u64) -> Result<Option<Vec<u8>>, LinkDiscard> {
         match keyed::read(bytes)? {
             Keyed::Transport { index, counter, closed } => {
@@ -94,7 +94,7 @@ impl End {
     }
 }
 
-/// Makes a session without any loss, asked for by the first end. Returns all datagrams.
+/// Makes a session without any loss; the first node asks for it. Returns all datagrams.
 #[cfg(test)]
 pub(super) fn acquainted(ends: &mut [End; 2], now: u64) -> Vec<(usize, Vec<u8>)> {
     let mut sent = vec![(1, ends[0].knock(now).unwrap())];

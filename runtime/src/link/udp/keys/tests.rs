@@ -1,4 +1,4 @@
-//! Sessions between two nodes: under loss, renewal, restarts, with other keys, and against a forger.
+//! Sessions between two nodes: under loss, at renewals, after restarts, with other keys, and against a forger.
 
 use super::rig::{DIGESTS, ENDS, End, MS, acquainted, end, ends, keys};
 use super::*;
@@ -9,10 +9,10 @@ use imrs_protocol::{
 use imrs_wire::envelope::keyed::{self, Keyed};
 use imrs_wire::envelope::{COUNTER_END, Datagram, Digests, Echo, Envelope, Purpose, Refused, Session};
 
-/// Some milliseconds of both nodes, with a network that loses, repeats and overtakes.
+/// Some milliseconds of both nodes, with a network that loses, repeats and reorders datagrams.
 struct Net {
     random: fastrand::Rng,
-    /// When, to whom, what.
+    /// The datagrams in flight: the time of arrival, the receiving node, the bytes.
     flying: Vec<(u64, usize, Vec<u8>)>,
     loss: f64,
     copies: f64,
@@ -48,7 +48,7 @@ fn a_session_is_made_though_datagrams_are_lost_repeated_and_overtaken() {
         let random = fastrand::Rng::with_seed(seed);
         let mut net = Net { random, flying: Vec::new(), loss: 0.3, copies: 0.3 };
         let mut now = 0;
-        // Both ask at once, and each sends as soon as it can.
+        // Both nodes ask for a session at once, and each sends as soon as it can.
         while ends.iter().any(|end| end.opened.is_empty()) {
             for me in [0, 1] {
                 let hello = ends[me].knock(now);
@@ -76,7 +76,7 @@ fn a_new_session_under_traffic_loses_nothing() {
     let mut net = Net { random: fastrand::Rng::with_seed(1), flying: Vec::new(), loss: 0.0, copies: 0.2 };
     let mut sessions = std::collections::BTreeSet::new();
     for round in 1..=4 {
-        // Just before a session is old, with a datagram each 2 ms.
+        // The round begins just before a session is old; a datagram is sent each 2 ms.
         let from = round * 3_600_000 * MS - 100 * MS;
         for now in (from..from + 400 * MS).step_by(2_000) {
             for me in [0, 1] {
@@ -98,41 +98,43 @@ fn a_new_session_under_traffic_loses_nothing() {
     }
 }
 
-/// All that a datagram might change.
+/// Everything in a node that a datagram might change, as text.
 fn state(end: &End) -> String {
     let Channel { sessions, making, tried, answered, .. } = &end.channel;
     let windows: Vec<_> = sessions.iter().map(|live| (live, live.state())).collect();
     format!("{windows:?} {:?} {tried:?} {} {:?}", making.is_some(), answered.len(), end.opened)
 }
 
-/// What a forger has who holds no key of the cell, and can do anything else: read and hold back datagrams, run a cell of their own.
+/// A forger without the key of the cell, who can do anything else: read and hold back datagrams, and run a cell of their own.
 struct Forger {
     random: fastrand::Rng,
-    /// All that was ever sent, and to whom: of this run, of an earlier start of its nodes, of the forger's cell.
+    /// All datagrams that were ever sent, with their receivers: those of this run, of an earlier start of its nodes,
+    /// and of the forger's cell.
     sent: [Vec<(usize, Vec<u8>)>; 3],
-    /// Both ends of the forger's cell, which has the same nodes.
+    /// Both nodes of the forger's cell, which has the same nodes as the attacked cell.
     own: [End; 2],
-    /// The indices of the session at both ends, which are sent in clear.
+    /// The indices of the attacked session at both nodes, which are sent in clear.
     indices: [u32; 2],
 }
 
 impl Forger {
-    /// A datagram to one of the ends, of the next kind. `next`: the counters that the ends have not used yet.
+    /// Makes the next forged datagram, one kind after another, with the node that gets it. `next` has the counters that
+    /// the nodes have not used yet.
     fn datagram(&mut self, number: u64, next: [u64; 2]) -> (usize, Vec<u8>) {
         let of = [0, 0, 1, 2][self.random.usize(..4)];
         let (to, mut bytes) = self.sent[of][self.random.usize(..self.sent[of].len())].clone();
         let me = self.random.usize(..2);
         let me = match number % 11 {
-            // Repeated as it was, at whom it was for, a handshake too; reflected.
+            // A recorded datagram, also of a handshake: repeated unchanged to its receiver, or reflected to its sender.
             0 => to,
             1 => 1 - to,
-            // The next counter, and the last one there can be.
+            // A recorded datagram with the next counter, or with the greatest possible counter.
             2 | 3 => {
                 let counter = if number % 11 == 2 { next[1 - me] + 1 } else { COUNTER_END - 1 };
                 bytes[8..15].copy_from_slice(&counter.to_le_bytes()[..7]);
                 me
             }
-            // Another kind, node or index; some bit; another length.
+            // A recorded datagram with another kind, node or index, with one bit changed, or with another length.
             4 => {
                 bytes[self.random.usize(4..16)] = self.random.u8(..);
                 me
@@ -146,7 +148,7 @@ impl Forger {
                 bytes.truncate(self.random.usize(..bytes.len()));
                 me
             }
-            // What a neighbour never said, closed with the keys of the forger's cell, and without keys.
+            // A datagram that the neighbour never sent, closed with the keys of the forger's cell, or without keys.
             8 | 9 => {
                 bytes = self.closed(me, next[1 - me]);
                 me
@@ -162,7 +164,8 @@ impl Forger {
         (me, bytes)
     }
 
-    /// A next incarnation, a clock that is far ahead, an echo of one that never was, the end of the counters.
+    /// An envelope with the next incarnation, a clock that is far ahead, an echo of a time that never was, or the end
+    /// of the counters.
     fn envelope(&mut self, to: usize, next: u64) -> Envelope {
         let clocks = [0, 5, 1 << 40, u64::MAX];
         let session = Session(10 + self.random.u64(..4));
@@ -179,7 +182,7 @@ impl Forger {
         }
     }
 
-    /// A CONFIRM, which would release the members of a rendezvous.
+    /// A CONFIRM packet. If a node accepted it, it would release the members of a rendezvous.
     fn packet(&self) -> [u8; 32] {
         let confirm = Packet {
             kind: Kind::Confirm,
@@ -234,7 +237,7 @@ fn a_forger_with_the_format_changes_nothing() {
     let (mut taken, mut reasons) = (0, BTreeMap::<String, u64>::new());
     for number in 0..count {
         let (to, bytes) = forger.datagram(number, next);
-        // While cookies of the handshake are valid, and later.
+        // The forged datagram arrives while the cookies of the handshake are valid, or later.
         let outcome = ends[to].take(&bytes, forger.random.u64(..30_000) * MS);
         taken += usize::from(matches!(outcome, Ok(None)));
         let reason = outcome.map_or_else(|reason| format!("{reason:?}"), |_| "answered".into());
@@ -249,7 +252,7 @@ fn a_forger_with_the_format_changes_nothing() {
     for reason in ["Forged", "Mode", "Replayed", "OtherKeys", "StaleSession", "answered"] {
         assert!(reasons.contains_key(reason), "{reason} was not put to the test: {reasons:?}");
     }
-    // The genuine datagram that was held back all the time is heard, once.
+    // The node accepts the genuine datagram that was held back all the time, and accepts it once.
     ends[1].take(&late, 15_000 * MS).unwrap();
     assert_eq!(ends[1].take(&late, 15_000 * MS), Err(LinkDiscard::Replayed));
 }
@@ -280,7 +283,7 @@ fn other_cells_and_other_keys_are_refused_by_name_on_both_sides() {
     }
     let (mut a, mut b) = (end(&same, 0, 1, DIGESTS), end(&keys(), 1, 2, DIGESTS));
     assert_eq!(refused(&mut a, &mut b), Refused::OtherKeys, "of the cell");
-    // Who has the cell's key and not the node's gets no session either.
+    // A node that has the cell's key and not the node's gets no session either.
     let cell = draw_cell_key().unwrap();
     let lone = |me: usize| {
         let (private, _) = draw_node_keys().unwrap();
