@@ -223,12 +223,7 @@ impl Loop<'_> {
                 self.due = Some(Duration::ZERO);
             }
             Effect::Theme => {
-                if let Some(path) = &self.app.remember
-                    && let Err(error) = config::remember(path, &self.app.theme)
-                {
-                    let path = shown_line(&path.display().to_string());
-                    self.tell(format!("the theme is not remembered: {path}: {error}"));
-                }
+                self.remember_theme();
                 self.due = Some(Duration::ZERO);
             }
             Effect::Suspend => {
@@ -247,6 +242,16 @@ impl Loop<'_> {
 }
 
 impl Loop<'_> {
+    /// Stores the theme for later monitors, if there is a place for it.
+    fn remember_theme(&mut self) {
+        if let Some(path) = &self.app.remember
+            && let Err(error) = config::remember(path, &self.app.theme)
+        {
+            let path = shown_line(&path.display().to_string());
+            self.tell(format!("the theme is not remembered: {path}: {error}"));
+        }
+    }
+
     /// Passes the screen's subscription to the sources.
     fn wish(&mut self) {
         let wishes = self.tape.wishes();

@@ -1,6 +1,6 @@
 //! The reductions that only a search by zones makes, besides the reductions of every search of a cell.
 
-use super::runner::{Run, Runner};
+use super::runner::{LeftOut, Run, Runner};
 use crate::cell::run_state::CellMove;
 use crate::cell_state::script::Running;
 use crate::state::Violation;
@@ -10,14 +10,6 @@ use crate::zone::times::symbol_of;
 use imrs_protocol::Ticks;
 use imrs_protocol::symbolic::{self, START, Symbol};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-
-/// The moves that are left at a point of the runs from one state.
-pub(super) struct LeftOut {
-    /// The answers until there, and how many moves were made.
-    answers: Vec<u16>,
-    made: usize,
-    moves: Vec<CellMove>,
-}
 
 impl Runner {
     /// Drops the moves that lose a packet whose arrival changes nothing, as the search at every tick does: the arrival leads to the

@@ -1,6 +1,5 @@
 //! Runs the moves of a cell on symbolic times, from one kept state to the next.
 
-use super::reduce::LeftOut;
 use crate::cell::judge::{Reached, Shown, judge, nothing_reached};
 use crate::cell::plan::{CellFaults, CellPlan};
 use crate::cell::run_state::canon::Left;
@@ -76,6 +75,14 @@ impl Run {
 /// Whether a move puts off the end of an action or the arrival of a packet. Such a move is no event.
 const fn puts_off(step: CellMove) -> bool {
     matches!(step, CellMove::GoOn(..) | CellMove::Stay(_))
+}
+
+/// The moves that are left at a point of the runs from one state.
+pub(super) struct LeftOut {
+    /// The answers until there, and how many moves were made.
+    pub answers: Vec<u16>,
+    pub made: usize,
+    pub moves: Vec<CellMove>,
 }
 
 /// Runs a cell.
