@@ -173,8 +173,8 @@ impl Times {
     pub const AUTO_STATES_WITH_FAULTS: u64 = 8_000;
 }
 
-/// The usual [`CellPlan::exact_zones`]: it takes a few seconds to find so many.
-const EXACT_ZONES: u64 = 60_000;
+/// The usual [`CellPlan::exact_zones`]: no search makes hulls, because in some cells they lead to any number of states (D202).
+const EXACT_ZONES: u64 = u64::MAX;
 /// The usual [`CellPlan::most_zones`].
 const MOST_ZONES: usize = 16;
 
