@@ -81,7 +81,8 @@ fn clicks_hit_what_the_terminal_shows() {
     terminal.wait_for("the events", |screen| screen.contains("[6 Events]") && screen.contains("DETAIL"));
     let (line, column) = place(&terminal.screen(), " 1 ");
     click(line, column);
-    let overview = terminal.wait_for("the overview", |screen| screen.contains("[1 Over]"));
+    let overview =
+        terminal.wait_for("the overview", |screen| screen.contains("[1 Over]") && screen.contains("hoist  "));
     // The banner may name the hoist, too, but with its node.
     let (line, column) = place(&overview, "hoist  ");
     click(line, column);
