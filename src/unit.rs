@@ -1,6 +1,6 @@
 //! `imrs unit`: prints a systemd unit that runs one node of a cell (D204).
 
-use crate::args::{Cli, UnitArgs, Verb};
+use crate::args::{Cli, LaunchArgs, UnitArgs, Verb};
 use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::output::Output;
@@ -33,15 +33,18 @@ pub fn run(args: &UnitArgs, out: &mut Output) -> Result<Exit, Failure> {
     }
     let mut words = vec!["run".into(), text_of(&cell)?, "--node".into(), args.node.clone()];
     words.extend(args.options.iter().cloned());
-    check(&words)?;
+    let is_real_time = checked_options(&words)?.rt;
     let program = env::current_exe().map_err(|error| Failure::Usage(format!("this program: {error}")))?;
     words.insert(0, text_of(&program)?);
-    out.line(unit(&args.user, &text_of(folder)?, &words).trim_end())?;
+    let command: Vec<String> = words.iter().map(|word| quoted(word)).collect();
+    let about = format!("node {} of {}", args.node, text_of(&cell)?);
+    let unit = unit(&about, &command.join(" "), (&text_of(folder)?, &args.user), is_real_time);
+    out.line(unit.trim_end())?;
     Ok(Exit::Well)
 }
 
-/// Checks the words of a command line as `imrs run` does.
-fn check(words: &[String]) -> Result<(), Failure> {
+/// The options in the words of a command line, checked as `imrs run` checks them.
+fn checked_options(words: &[String]) -> Result<LaunchArgs, Failure> {
     let parsed = Cli::try_parse_from(std::iter::once("imrs").chain(words.iter().map(String::as_str)));
     let args = match parsed.map(|cli| cli.verb) {
         Ok(Some(Verb::Run(args))) => args,
@@ -67,7 +70,7 @@ fn check(words: &[String]) -> Result<(), Failure> {
             )));
         }
     }
-    Ok(())
+    Ok(args.launch)
 }
 
 fn text_of(path: &Path) -> Result<String, Failure> {
@@ -75,16 +78,13 @@ fn text_of(path: &Path) -> Result<String, Failure> {
     text.ok_or_else(|| Failure::Usage(format!("{}: a unit can only name paths in UTF-8", path.display())))
 }
 
-/// The text of the unit. `words` is the command line that it executes in `folder`.
-fn unit(user: &str, folder: &str, words: &[String]) -> String {
-    let command: Vec<String> = words.iter().map(|word| quoted(word)).collect();
-    let (cell, node) = (&words[2], &words[4]);
-    let is_real_time = words.iter().any(|word| word == "--rt");
+/// The text of the unit, which executes the command in the folder, as the user.
+fn unit(about: &str, command: &str, (folder, user): (&str, &str), is_real_time: bool) -> String {
     let limits = if is_real_time { "# For --rt.\nLimitRTPRIO=99\nLimitMEMLOCK=infinity\n" } else { "" };
     format!(
         "\
 [Unit]
-Description=imrs: node {node} of {cell}
+Description=imrs: {about}
 Wants=network-online.target
 After=network-online.target
 # A node is started again however often it fails.
@@ -116,9 +116,7 @@ TimeoutStopSec=10
 [Install]
 WantedBy=multi-user.target
 ",
-        node = percent(node),
-        cell = percent(cell),
-        command = command.join(" "),
+        about = percent(about),
         folder = percent(folder),
     )
 }
