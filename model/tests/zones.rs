@@ -53,7 +53,7 @@ fn told(verdicts: &Verdicts, is_pruned: bool) -> Vec<String> {
 
 /// Whether a search by zones looked at more times than can occur.
 fn has_more(zones: &Verdicts) -> bool {
-    zones.phases.iter().any(|phase| phase.hulls > 0)
+    zones.phases.iter().any(|phase| phase.inexact > 0)
 }
 
 /// The findings, without unreached statements.
@@ -233,9 +233,9 @@ impl SearchProgress for Rows<'_> {
             Phase::Faults => format!("{}", phase.hypothesis + 1),
         };
         let ended = phase.ended_by.as_deref().unwrap_or("complete");
-        let Coverage { times, states, hulls, moves, .. } = phase;
+        let Coverage { times, states, inexact, moves, .. } = phase;
         println!(
-            "| {} | {faults} | {times:?} | {states} | {hulls} | {moves} | {took:.1} | {ended} | {peak} |",
+            "| {} | {faults} | {times:?} | {states} | {inexact} | {moves} | {took:.1} | {ended} | {peak} |",
             self.name
         );
     }
@@ -244,7 +244,6 @@ impl SearchProgress for Rows<'_> {
 fn measure(name: &str, cell: &mut Text, seconds: u64) {
     cell.plan.faults.retain(covered);
     cell.plan.budget = Budget { seconds: Duration::from_secs(seconds).as_secs_f64(), ..Budget::default() };
-    cell.plan.exact_zones = number("IMRS_EXACT", cell.plan.exact_zones);
     let every = std::env::var("IMRS_EVERY").is_ok().then_some(Times::Every);
     for times in std::iter::once(Times::Zones).chain(every) {
         cell.plan.times = times;

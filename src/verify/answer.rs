@@ -131,7 +131,7 @@ struct Searched<'a> {
     parts: u32,
     states: u64,
     /// How many of these stand for more times than can occur; no finding rests on such times.
-    hulls: u64,
+    inexact: u64,
     transitions: u64,
     /// The greatest distance of a state from the start, counted in choices. `whole_depth` is the depth up to which all
     /// states were explored.
@@ -297,7 +297,7 @@ impl Subject {
             },
             parts: phase.parts,
             states: phase.states,
-            hulls: phase.hulls,
+            inexact: phase.inexact,
             transitions: phase.moves,
             depth: phase.depth,
             whole_depth: phase.whole_depth,

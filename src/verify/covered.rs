@@ -42,10 +42,10 @@ fn share(phase: &Coverage) -> String {
 /// Sentences that explain a search that stands for more times than can occur, or that is unfinished.
 pub(super) fn explained(subject: &Subject, plan: &CellPlan, phase: &Coverage) -> Vec<String> {
     let mut said = unfinished(subject, plan, phase);
-    if phase.hulls > 0 {
+    if phase.inexact > 0 {
         said.push(format!(
             "{} of these states stand for more times than can occur: no finding rests on that, but a statement may count as reached that is not",
-            grouped(phase.hulls)
+            grouped(phase.inexact)
         ));
     }
     said

@@ -38,7 +38,7 @@ impl Done {
         all.whole_depth = whole;
         all.times = all.times.min(one.times);
         all.states += one.states;
-        all.hulls += one.hulls;
+        all.inexact += one.inexact;
         all.moves += one.moves;
         all.depth = all.depth.max(one.depth);
         all.ticks = all.ticks.max(one.ticks);

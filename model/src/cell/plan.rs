@@ -173,11 +173,6 @@ impl Times {
     pub const AUTO_STATES_WITH_FAULTS: u64 = 8_000;
 }
 
-/// The usual [`CellPlan::exact_zones`]: no search makes hulls, because in some cells they lead to any number of states (D202).
-const EXACT_ZONES: u64 = u64::MAX;
-/// The usual [`CellPlan::most_zones`].
-const MOST_ZONES: usize = 16;
-
 /// A cell to check.
 #[derive(Clone, Debug)]
 pub struct CellPlan {
@@ -201,12 +196,6 @@ pub struct CellPlan {
     pub everything: bool,
     /// How many packets a node's transit buffer holds.
     pub transit: u16,
-    /// States after which a search by zones begins again with hulls: from then on it keeps at most [`most_zones`](Self::most_zones)
-    /// zones of one control apart.
-    pub exact_zones: u64,
-    /// States with one control that a search with hulls keeps apart. More of them become their hull, which may have more times than
-    /// are reached (D202). Findings never rest on such times.
-    pub most_zones: usize,
     /// Threads that search.
     pub jobs: usize,
     /// What charts show of the cell's text. The verdict does not depend on it.
@@ -231,8 +220,6 @@ impl CellPlan {
             step: 1,
             everything: false,
             transit: 16,
-            exact_zones: EXACT_ZONES,
-            most_zones: MOST_ZONES,
             jobs: 1,
             legend: Legend::default(),
             outside: Vec::new(),

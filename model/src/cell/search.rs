@@ -243,7 +243,7 @@ fn search(
         times: plan.times,
         parts: 1,
         states: search.origins.len() as u64,
-        hulls: 0,
+        inexact: 0,
         moves: search.moves,
         depth,
         whole_depth: left.map_or(depth, u64::from),

@@ -153,9 +153,10 @@ pub struct Coverage {
     pub parts: u32,
     /// The number of different states that were kept. Between two kept states only one move at a time is possible.
     pub states: u64,
-    /// How many of these may have more times than are reached (D202): then a statement may count as reached that is not.
+    /// How many runs of a search by zones lead to states with more times than are reached (D189): then a statement may count as
+    /// reached that is not.
     #[serde(default)]
-    pub hulls: u64,
+    pub inexact: u64,
     /// Moves made.
     pub moves: u64,
     /// The largest number of choices on a shortest path to a state.

@@ -17,12 +17,6 @@ pub(crate) struct Dbm {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Empty;
 
-/// The next of a few bounds: zero, the powers of two, none. So a set can be widened only a few times.
-fn further(bound: i64) -> i64 {
-    let power = bound.unsigned_abs().checked_next_power_of_two().and_then(|power| i64::try_from(power).ok());
-    if bound <= 0 { 0 } else { power.unwrap_or(FREE) }
-}
-
 /// A sum of two bounds.
 const fn plus(a: i64, b: i64) -> i64 {
     if a == FREE || b == FREE { FREE } else { a + b }
@@ -119,34 +113,6 @@ impl Dbm {
     pub fn hull(&self, other: &Self) -> Self {
         let bounds = self.bounds.iter().zip(&other.bounds).map(|(&a, &b)| a.max(b)).collect();
         Self { len: self.len, bounds }
-    }
-
-    /// A set with all points of both. Where the other set exceeds this one, the difference of two variables may be any that the
-    /// bounds of the two allow, a positive variable may have any positive value below its greatest, and other bounds are the next power
-    /// of two.
-    pub fn widened(&self, other: &Self) -> Self {
-        let of = |(at, (&mine, &others)): (usize, (&i64, &i64))| match (at / self.len, at % self.len) {
-            _ if others <= mine => mine,
-            (0, _) if others < 0 => -1,
-            (0, _) | (_, 0) => further(others),
-            _ => FREE,
-        };
-        let bounds = self.bounds.iter().zip(&other.bounds).enumerate().map(of).collect();
-        let mut widened = Self { len: self.len, bounds };
-        widened.close();
-        widened
-    }
-
-    /// Makes each bound that of the shortest path.
-    fn close(&mut self) {
-        for via in 0..self.len {
-            let from_via: Vec<i64> = self.bounds[via * self.len..][..self.len].to_vec();
-            for row in self.bounds.chunks_mut(self.len).filter(|row| row[via] != FREE) {
-                let to_via = row[via];
-                let over = from_via.iter().map(|&rest| plus(to_via, rest));
-                row.iter_mut().zip(over).for_each(|(bound, over)| *bound = (*bound).min(over));
-            }
-        }
     }
 
     /// The points whose first values are in another set.
@@ -327,41 +293,6 @@ mod tests {
             stay += usize::from(!is_exact);
         }
         assert!(merges > 50 && stay > 50, "{merges} merge, {stay} stay");
-    }
-
-    #[test]
-    fn a_widened_set_has_the_points_of_both_and_grows_only_a_few_times() {
-        let mut grown = 0;
-        for ((one, mine), (other, others)) in pairs(2_000) {
-            let widened = one.widened(&other);
-            assert!(mine.union(&others).all(|point| widened.has(point)), "{one:?}\n{other:?}\n{widened:?}");
-            // Its bounds are the shortest paths: nothing changes if they are closed again.
-            let mut closed = widened.clone();
-            closed.close();
-            assert_eq!(closed, widened);
-            assert_eq!(
-                one.is_in(&other).then(|| other.widened(&one)),
-                one.is_in(&other).then(|| other.clone())
-            );
-            grown += usize::from(widened != one);
-        }
-        assert!(grown > 500, "{grown}");
-        // A set that grows by one is widened only a few times.
-        let upto = |most: i64| {
-            let mut set = Dbm::zero();
-            let new = set.add();
-            set.constrain(new, 0, most).and_then(|()| set.constrain(0, new, -most)).map(|()| set)
-        };
-        let mut set = upto(1).expect("a point");
-        let mut times = 0;
-        for most in 2..100_000 {
-            let next = upto(most).expect("a point");
-            if !next.is_in(&set) {
-                set = set.widened(&next);
-                times += 1;
-            }
-        }
-        assert!(times < 20, "{times}");
     }
 
     #[test]

@@ -79,7 +79,7 @@ fn legs_to(
             Some((origin.parent, origin.answers.clone(), origin.zone.len(), point))
         };
         let before = match at {
-            Some(state) => Some(search.store.origins(state).find_map(reached)?),
+            Some(state) => Some(search.store.states[state as usize].origins.iter().find_map(reached)?),
             None => None,
         };
         if let Some(mut run) = last.take() {

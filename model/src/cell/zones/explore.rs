@@ -16,59 +16,21 @@ use std::time::Instant;
 /// Searches a cell by zones. Every finding that it returns was found again on plain ticks.
 pub(in crate::cell) fn explore(
     plan: &Arc<CellPlan>,
-    phase: (Phase, usize),
+    (phase, hypothesis): (Phase, usize),
     faults: &CellFaults,
     progress: &dyn SearchProgress,
 ) -> Done {
-    let start = (Instant::now(), progress);
-    let within = |states: u64, seconds: f64| {
-        let mut budget = plan.budget;
-        (budget.states, budget.seconds) = (budget.states.min(states), budget.seconds * seconds);
-        Arc::new(CellPlan { budget, ..CellPlan::clone(plan) })
-    };
-    let exactly = |plan: &Arc<CellPlan>| once(plan, phase, faults, (usize::MAX, start)).0;
-    if plan.everything {
-        return exactly(plan);
-    }
-    let short = within(plan.exact_zones, 1.0);
-    if plan.exact_zones > 0 {
-        let done = exactly(&short);
-        if done.coverage.complete
-            || short.budget.states == plan.budget.states
-            || start.0.elapsed().as_secs_f64() >= plan.budget.seconds
-        {
-            return done;
-        }
-    }
-    let (done, is_enough) = once(&within(u64::MAX, 0.5), phase, faults, (plan.most_zones.max(1), start));
-    if is_enough && done.coverage.complete {
-        return done;
-    }
-    // What is found at times that are not reached is no finding, and such times may lead to any number of states. Without hulls, all
-    // times are reached.
-    exactly(plan)
-}
-
-/// Searches with at most so many zones of one control. Also returns whether all that it found was found again, or was not found in
-/// hulls.
-fn once(
-    plan: &Arc<CellPlan>,
-    (phase, hypothesis): (Phase, usize),
-    faults: &CellFaults,
-    (most, start): (usize, (Instant, &dyn SearchProgress)),
-) -> (Done, bool) {
+    let start = Instant::now();
     let runners = (0..plan.jobs.max(1)).map(|_| Runner::new(plan, phase, faults)).collect();
-    let mut search = Search::new(runners, most);
-    let mut ended_by = search.run(plan, start).or_else(|| search.shortcoming());
+    let mut search = Search::new(runners);
+    let mut ended_by = search.run(plan, (start, progress)).or_else(|| search.shortcoming());
     let hits = std::mem::take(&mut search.hits);
     let pruned = hits.iter().any(|hit| hit.shown.last || hit.shown.kind == Kind::Deadlock);
     let mut told: Vec<Finding> = Vec::new();
-    let mut is_all_told = true;
     for hit in &hits {
         match concrete::told(plan, (phase, hypothesis), faults, &mut search, hit) {
             Some(finding) => told.push(finding),
             None => {
-                is_all_told = false;
                 let what =
                     format!("{} is not found at plain times: {}", hit.shown.kind.name(), hit.shown.cause);
                 ended_by.get_or_insert(what);
@@ -80,7 +42,6 @@ fn once(
     }
     let (warnings, findings) = told.into_iter().partition(|found| found.kind.is_warning());
     let Search { runners, store, longest, inexact, .. } = search;
-    let is_enough = is_all_told || store.hulls() == 0;
     let depth = store.states.iter().map(|state| u64::from(state.depth)).max().unwrap_or(0);
     let coverage = Coverage {
         phase,
@@ -88,8 +49,7 @@ fn once(
         times: Times::Zones,
         parts: 1,
         states: store.len() as u64,
-        // A run whose times are not exact leads to more times than can occur, too.
-        hulls: store.hulls() + inexact,
+        inexact,
         moves: runners.iter().map(|runner| runner.moves).sum(),
         depth,
         whole_depth: store.least_left().map_or(depth, u64::from),
@@ -99,14 +59,14 @@ fn once(
         ended_by,
         unfinished: None,
         longest_state: longest as u64,
-        seconds: start.0.elapsed().as_secs_f64(),
+        seconds: start.elapsed().as_secs_f64(),
     };
     let mut mattered = vec![false; plan.checks.len()];
     for runner in &runners {
         mattered.iter_mut().zip(&runner.mattered).for_each(|(all, one)| *all |= one);
     }
     let reached = runners.into_iter().map(|runner| runner.reached).reduce(Reached::join).unwrap_or_default();
-    (Done { coverage, findings, warnings, reached, mattered }, is_enough)
+    Done { coverage, findings, warnings, reached, mattered }
 }
 
 impl Search {

@@ -48,9 +48,8 @@ pub(super) struct Search {
 }
 
 impl Search {
-    /// `most`: the most zones of one control.
-    pub fn new(runners: Vec<Runner>, most: usize) -> Self {
-        let (store, walks) = (Store::new(most), Walks::default());
+    pub fn new(runners: Vec<Runner>) -> Self {
+        let (store, walks) = (Store::default(), Walks::default());
         Self { runners, store, hits: Vec::new(), walks, inexact: 0, outgrown: false, longest: 0 }
     }
 

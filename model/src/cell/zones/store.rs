@@ -21,8 +21,6 @@ pub struct State {
     /// The other state that includes the times of this one.
     heir: Option<u32>,
     pub origins: Vec<Origin>,
-    /// Expanded states whose times it has, too, if it is a hull.
-    also: Vec<u32>,
     pub depth: u32,
     /// The least time since the start at which it is reached, as far as is known.
     pub since: u64,
@@ -36,18 +34,6 @@ struct Known {
     state: Option<u32>,
     /// The states that have these times.
     states: Vec<u32>,
-    /// Whether it has more times than were reached.
-    is_hull: bool,
-}
-
-/// A state that is about to be kept.
-struct New {
-    number: u32,
-    left: Left,
-    since: u64,
-    zone: Dbm,
-    origins: Vec<Origin>,
-    also: Vec<u32>,
 }
 
 /// All kept states of a search.
@@ -61,23 +47,9 @@ pub struct Store {
     known: HashMap<Box<[u8]>, Vec<Known>>,
     /// The states that are still to be expanded, the earliest first, and some whose times others have.
     open: BinaryHeap<Reverse<(u64, u32)>>,
-    /// The most zones of one control: more of them become their hull.
-    most: usize,
 }
 
 impl Store {
-    /// `most`: the most zones of one control. More of them become their hull.
-    pub fn new(most: usize) -> Self {
-        Self { most, ..Self::default() }
-    }
-
-    /// How the times of a state were reached.
-    pub fn origins(&self, state: u32) -> impl Iterator<Item = &Origin> {
-        let state = &self.states[state as usize];
-        let also = state.also.iter().flat_map(|&at| &self.states[at as usize].origins);
-        state.origins.iter().chain(also)
-    }
-
     /// The state that has the times of this one now.
     pub fn heir(&self, mut state: u32) -> u32 {
         while let Some(heir) = self.states[state as usize].heir {
@@ -105,14 +77,30 @@ impl Store {
             self.controls.push(control.clone());
             next
         });
-        let mut new =
-            New { number, left, since, zone: origin.zone.clone(), origins: vec![origin], also: Vec::new() };
-        new.cover(known, &mut self.states);
-        new.merge(known, &mut self.states);
-        let is_hull = new.becomes_hull(known, &mut self.states, self.most);
-        let New { zone, origins, also, since, .. } = new;
-        known.push(Known { left, zone: zone.clone(), state: Some(number), states: vec![number], is_hull });
-        self.states.push(State { control, zone: Some(zone), heir: None, origins, also, depth, since });
+        let (mut zone, mut since, mut origins) = (origin.zone.clone(), since, vec![origin]);
+        let states = &mut self.states;
+        // It takes the place of the states whose times it has.
+        known.retain(|old| {
+            let covers = left.covers(old.left) && old.zone.is_in(&zone);
+            if covers && let Some(at) = old.state {
+                states[at as usize].pass_to(number);
+            }
+            !covers
+        });
+        // It joins with states that are still to be expanded, where the union is a zone.
+        while let Some((at, state, merged)) = known.iter().enumerate().find_map(|(at, old)| {
+            let state = old.state.filter(|_| old.left == left)?;
+            zone.merged(&old.zone).map(|merged| (at, state, merged))
+        }) {
+            known.swap_remove(at);
+            let state = &mut states[state as usize];
+            state.pass_to(number);
+            since = since.min(state.since);
+            origins.append(&mut state.origins);
+            zone = merged;
+        }
+        known.push(Known { left, zone: zone.clone(), state: Some(number), states: vec![number] });
+        states.push(State { control, zone: Some(zone), heir: None, origins, depth, since });
         self.open.push(Reverse((since, number)));
         vec![number]
     }
@@ -155,11 +143,6 @@ impl Store {
         self.open.len()
     }
 
-    /// How many states have more times than were reached.
-    pub fn hulls(&self) -> u64 {
-        self.known.values().flatten().filter(|known| known.is_hull).count() as u64
-    }
-
     /// How many states are kept, without states whose times other states include.
     pub fn len(&self) -> usize {
         self.states.iter().filter(|state| state.zone.is_some()).count()
@@ -169,70 +152,6 @@ impl Store {
     pub fn least_left(&self) -> Option<u32> {
         let left = self.open.iter().map(|&Reverse((_, number))| &self.states[number as usize]);
         left.filter(|state| state.zone.is_some()).map(|state| state.depth).min()
-    }
-}
-
-impl New {
-    /// Takes the place of the states whose times it has.
-    fn cover(&mut self, known: &mut Vec<Known>, states: &mut [State]) {
-        known.retain(|old| {
-            let covers = self.left.covers(old.left) && old.zone.is_in(&self.zone);
-            if covers && let Some(at) = old.state {
-                states[at as usize].pass_to(self.number);
-            }
-            !covers
-        });
-    }
-
-    /// Joins it with states that are still to be expanded, where the union is a zone.
-    fn merge(&mut self, known: &mut Vec<Known>, states: &mut [State]) {
-        while let Some((at, merged)) = known.iter().enumerate().find_map(|(at, old)| {
-            let both = old.state.is_some() && old.left == self.left && !old.is_hull;
-            both.then(|| self.zone.merged(&old.zone)).flatten().map(|merged| (at, merged))
-        }) {
-            let old = known.swap_remove(at);
-            self.take_in(&old, states);
-            self.zone = merged;
-        }
-    }
-
-    /// Becomes the hull of all zones of its control if these have too many states. Returns whether it is one.
-    fn becomes_hull(&mut self, known: &mut Vec<Known>, states: &mut [State], most: usize) -> bool {
-        let alike = || known.iter().filter(|old| old.left == self.left);
-        // Zones that were joined were expanded one by one, too.
-        let kept: usize = alike().map(|old| old.states.len()).sum();
-        if kept < most && !alike().any(|old| old.is_hull) {
-            return false;
-        }
-        let hull = alike().map(|old| &old.zone).fold(None, |hull: Option<Dbm>, zone| {
-            Some(hull.map_or_else(|| zone.clone(), |hull| hull.hull(zone)))
-        });
-        if let Some(hull) = hull {
-            self.zone = hull.widened(&self.zone);
-        }
-        let left = self.left;
-        for old in known.extract_if(.., |old| old.left == left) {
-            self.take_in(&old, states);
-        }
-        self.cover(known, states);
-        true
-    }
-
-    /// Takes in the times of another state.
-    fn take_in(&mut self, old: &Known, states: &mut [State]) {
-        match old.state {
-            Some(at) => {
-                let state = &mut states[at as usize];
-                state.pass_to(self.number);
-                self.since = self.since.min(state.since);
-                self.origins.append(&mut state.origins);
-                self.also.append(&mut state.also);
-            }
-            None => {
-                self.also.extend(&old.states);
-                self.also.extend(old.states.iter().flat_map(|&at| states[at as usize].also.iter().copied()));
-            }
-        }
     }
 }
 
@@ -252,7 +171,7 @@ fn merge_expanded(known: &mut Vec<Known>, mut at: usize) {
     loop {
         let one = &known[at];
         let mut merged = known.iter().enumerate().filter_map(|(j, other)| {
-            let may = j != at && other.state.is_none() && one.left == other.left && !other.is_hull;
+            let may = j != at && other.state.is_none() && one.left == other.left;
             may.then(|| one.zone.merged(&other.zone)).flatten().map(|zone| (j, zone))
         });
         let Some((j, zone)) = merged.next() else { return };
