@@ -3,10 +3,12 @@
 use crate::common::{LIFT, NODES, Stage, beam, codes, identity, ms, snapshot, table};
 use imrs_monitor::query::Assertion;
 use imrs_monitor::source::{Arrival, Feed, SourceId};
+use imrs_monitor::store::health::findings;
 use imrs_monitor::store::meeting::{Standing, meeting};
 use imrs_monitor::store::{Store, unseen};
 use imrs_monitor::theme::Theme;
 use imrs_wire::obs::ServerFrame;
+use imrs_wire::obs::{Count, NodeIdentity, Snapshot};
 
 #[test]
 fn of_a_quiet_cell_only_the_node_that_nobody_saw_is_told() {
@@ -93,4 +95,38 @@ fn in_a_recording_nobody_is_missing() {
     }
     assert_eq!(unseen(&recorded, &beam()).len(), 2);
     assert!(!codes(&recorded, ms(1_010)).contains(&"node-missing"));
+}
+
+/// Attaches a node whose cell file has this digest. Its links drop the datagrams of nodes with another text.
+fn attach_with_text(stage: &mut Stage, node: usize, digest: u32) {
+    let identity = NodeIdentity { digest, ..identity(node, 1) };
+    stage.feed(ms(1_000), node, Feed::Attached { identity, pid: 800, build: "imrs 0.1.0".into() });
+    stage.frame(ms(1_000), node, ServerFrame::Table(table()));
+    for (at, count) in [(1_000, 0), (2_000, 4)] {
+        let dropped = vec![Count { name: "other_cell".into(), count }];
+        let state = Snapshot { link_discards: dropped, ..snapshot(node) };
+        stage.frame(ms(at), node, ServerFrame::Snapshot(state));
+    }
+}
+
+/// The first finding of each node.
+fn first_of_each(stage: &Stage) -> Vec<String> {
+    let mut found = findings(stage.app.store(), &beam(), ms(2_010));
+    found.retain(|f| f.place.task.is_none() && f.code == "digest-mismatch");
+    found.dedup_by_key(|f| f.place);
+    found.iter().map(|f| f.text.to_string()).collect()
+}
+
+#[test]
+fn of_two_texts_of_a_cell_both_are_told_before_what_the_links_drop() {
+    let mut stage = Stage::new(Theme::ASCII);
+    attach_with_text(&mut stage, 0, 7);
+    attach_with_text(&mut stage, 1, 9);
+    let texts = ["digest 00000007, other nodes have 00000009", "digest 00000009, other nodes have 00000007"]
+        .map(|digests| format!("runs another text of the cell: {digests}"));
+    assert_eq!(first_of_each(&stage), texts);
+    attach_with_text(&mut stage, 2, 9);
+    let found = first_of_each(&stage);
+    assert_eq!(found[0], texts[0], "one node against two");
+    assert!(found[1..].iter().all(|text| text.starts_with("link drops")), "{found:?}");
 }

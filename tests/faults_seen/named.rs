@@ -39,22 +39,27 @@ struct Fault {
 }
 
 impl Fault {
-    /// The line that names it on a screen of this size, and how long that took.
+    /// The line that names it on a screen of each size, and how long that took. Some findings end by themselves, so each
+    /// look is at all sizes.
     fn named(
         &self,
         watch: &mut Watch,
-        size: (u16, u16),
         since: Instant,
         patience: Duration,
-    ) -> Result<(String, Duration), String> {
+    ) -> Result<Vec<(String, Duration)>, String> {
+        let mut seen = [const { None }; SIZES.len()];
         loop {
-            let shown = watch.look(size);
+            let shown = SIZES.map(|size| watch.look(size));
             let took = Instant::now().saturating_duration_since(since);
-            if let Some(line) = shown.lines().find(|line| self.words.iter().all(|word| line.contains(word))) {
-                return Ok((line.trim().to_owned(), took));
+            for (seen, shown) in seen.iter_mut().zip(&shown).filter(|(seen, _)| seen.is_none()) {
+                let line = shown.lines().find(|line| self.words.iter().all(|word| line.contains(word)));
+                *seen = line.map(|line| (line.trim().to_owned(), took));
+            }
+            if seen.iter().all(Option::is_some) {
+                return Ok(seen.into_iter().flatten().collect());
             }
             if took > patience {
-                return Err(format!("{} is not named:\n{shown}", self.name));
+                return Err(format!("{} is not named:\n{}", self.name, shown.join("\n")));
             }
             thread::sleep(Duration::from_millis(20));
         }
@@ -114,12 +119,12 @@ impl Row {
         }
         let since = (fault.inject)(&mut scene);
         let patience = Duration::from_secs(bound("IMRS_LOOK", LONG.as_secs()));
-        let seen = SIZES.map(|size| fault.named(&mut watch, size, since, patience));
+        let seen = fault.named(&mut watch, since, patience);
         if fault.words.contains(&"SILENT") {
             // A stopped process would outlive its launcher.
             now(&scene, Signal::CONT);
         }
-        Ok(Self { fault, seen: seen.into_iter().collect::<Result<_, _>>()? })
+        Ok(Self { fault, seen: seen? })
     }
 
     /// The row of the table: the words as seen on the smaller screen, and how long both took.
@@ -176,7 +181,8 @@ const FAULTS: [Fault; 14] = [
         how: "two commands, a buffer of one, and a `press` that works",
         start: || Scene::waiting(NO_SPACE),
         inject: |scene| scene.go(),
-        words: &["nb.press.put", "refused for space"],
+        // The command with less time is kept, so the one that came first may be evicted.
+        words: &["nb.press.put", "for space"],
     },
     Fault {
         name: "a server is too slow",
@@ -252,11 +258,6 @@ fn now(scene: &Scene, what: Signal) -> Instant {
 
 #[test]
 fn the_first_screen_names_the_root_cause_of_each_fault() {
-    if !crate::support::is_whole() {
-        // Once in a gate, a fault did not come about in ten minutes, and it is not known why.
-        eprintln!("*** SKIPPED: fourteen faults are injected with IMRS_WHOLE=1 only ***");
-        return;
-    }
     let (rows, unnamed) = (Mutex::new(Vec::new()), Mutex::new(Vec::new()));
     for faults in FAULTS.chunks(AT_ONCE) {
         side_by_side(faults, |fault| match Row::of(fault) {

@@ -85,11 +85,12 @@ impl Looked {
 #[must_use]
 pub fn findings(store: &Store, cell: &Name, now: Moment) -> Vec<Finding> {
     let mut found = Vec::new();
+    // If nodes differ in their text, their links drop datagrams: the cause comes before what follows from it.
+    node::unlike(store, cell, now, &mut found);
     for incarnation in store.present(cell) {
         node::look(store, incarnation, now, &mut found);
     }
     node::never_seen(store, cell, &mut found);
-    node::unlike(store, cell, now, &mut found);
     links::cut(store, cell, now, &mut found);
     meetings::look(store, cell, now, &mut found);
     found.sort_by(|a, b| (b.level, a.place).cmp(&(a.level, b.place)));

@@ -125,32 +125,39 @@ pub(super) fn never_seen(store: &Store, cell: &Name, found: &mut Vec<Finding>) {
     }
 }
 
-/// Reports nodes that differ from the majority of their cell in digest or release.
+/// Reports nodes that differ in digest or release from at least as many nodes of their cell as they agree with. If two
+/// nodes differ, only a person knows which one is right, so both are reported.
 pub(super) fn unlike(store: &Store, cell: &Name, now: Moment, found: &mut Vec<Finding>) {
     let up: Vec<&NodeIncarnation> =
         store.present(cell).filter(|incarnation| !incarnation.presence(now).is_gone()).collect();
-    if let Some(usual) = most_usual(up.iter().map(|incarnation| incarnation.digest)) {
-        for incarnation in up.iter().filter(|incarnation| incarnation.digest != usual) {
-            let text = format!(
-                "runs another text of the cell: digest {:08x}, the other nodes have {usual:08x}",
-                incarnation.digest
-            );
-            found.push(Finding::new(&codes::DIGEST_MISMATCH, Place::node(incarnation), text));
-        }
+    for (incarnation, digest, other) in minorities(&up, |incarnation| incarnation.digest) {
+        let text =
+            format!("runs another text of the cell: digest {digest:08x}, other nodes have {other:08x}");
+        found.push(Finding::new(&codes::DIGEST_MISMATCH, Place::node(incarnation), text));
     }
-    if let Some(usual) = most_usual(up.iter().map(|incarnation| incarnation.build.clone())) {
-        for incarnation in up.iter().filter(|incarnation| incarnation.build != usual) {
-            let text = format!("is of another release: {}, the other nodes are {usual}", incarnation.build);
-            found.push(Finding::new(&codes::VERSION_MISMATCH, Place::node(incarnation), text));
-        }
+    for (incarnation, build, other) in minorities(&up, |incarnation| incarnation.build.clone()) {
+        let text = format!("is of another release: {build}, other nodes are {other}");
+        found.push(Finding::new(&codes::VERSION_MISMATCH, Place::node(incarnation), text));
     }
 }
 
-/// The most frequent value; if several are equally frequent, the greatest of them.
-fn most_usual<T: Ord>(all: impl Iterator<Item = T>) -> Option<T> {
+/// The nodes whose value is not more frequent than another one: each with its value and the most frequent other one.
+fn minorities<'a, T: Ord + Clone>(
+    nodes: &[&'a NodeIncarnation],
+    of: impl Fn(&NodeIncarnation) -> T,
+) -> Vec<(&'a NodeIncarnation, T, T)> {
     let mut count: BTreeMap<T, usize> = BTreeMap::new();
-    for one in all {
-        *count.entry(one).or_default() += 1;
+    for node in nodes {
+        *count.entry(of(node)).or_default() += 1;
     }
-    count.into_iter().max_by_key(|(_, times)| *times).map(|(one, _)| one)
+    let other = |own: &T| {
+        let others = count.iter().filter(|(value, _)| *value != own);
+        others.max_by_key(|(_, times)| **times).filter(|(_, times)| **times >= count[own])
+    };
+    let differs = |node: &&'a NodeIncarnation| {
+        let own = of(node);
+        let other = other(&own)?.0.clone();
+        Some((*node, own, other))
+    };
+    nodes.iter().filter_map(differs).collect()
 }
