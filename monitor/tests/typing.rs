@@ -133,6 +133,13 @@ fn what_is_wrong_is_said_while_it_is_typed() {
 }
 
 #[test]
+fn before_a_node_reports_no_name_is_called_wrong() {
+    let mut stage = Stage::new(Theme::ASCII);
+    stage.keys(NOW, ":port beat\n");
+    assert!(stage.text(NOW, 120, 24).contains("no node has reported yet what is in this cell"));
+}
+
+#[test]
 fn of_a_long_line_the_part_around_the_cursor_is_shown() {
     let mut stage = Stage::busy(Theme::ASCII);
     stage.keys(NOW, "/slack<20ms and class=2 and node=nl and task=armL");

@@ -128,6 +128,7 @@ fn typed_lines_outlast_the_monitor() {
     terminal.type_monitor("", "");
     let reason = "earlier typed lines are not known: line 1 is neither a filter nor a command";
     terminal.wait_for("the reason", |screen| screen.contains(reason));
+    terminal.wait_for("the cell", |screen| screen.contains("beat "));
     terminal.keys(&["-l", ":port beat"]);
     terminal.press(&["Enter"], "[2 Port]");
     terminal.leave();

@@ -78,9 +78,11 @@ impl App {
                 (!is_begun).then(|| format!("no such command; there are {}", words.join(", ")))
             }
             ("connect", address) => address.parse::<Endpoint>().err().map(|error| error.to_string()),
-            ("port", name) => nearest(name, self.names_of_ports()).is_none().then(|| no_port(name)),
+            ("port", name) => {
+                nearest(name, self.names_of_ports()).is_none().then(|| self.not_there("port", name))
+            }
             ("node" | "task", name) => {
-                nearest(name, self.names_of_places()).is_none().then(|| no_place(name))
+                nearest(name, self.names_of_places()).is_none().then(|| self.not_there("node or task", name))
             }
             ("explain", word) => nearest(word, self.words_explained()).is_none().then(|| no_word(word)),
             ("theme", name) => Theme::names().iter().all(|known| !known.starts_with(name)).then(no_theme),
@@ -106,7 +108,9 @@ impl App {
 
     /// Shows the queue of a port at the task that receives through it.
     fn go_to_port(&mut self, wanted: &str) -> Option<String> {
-        let Some(found) = nearest(wanted, self.names_of_ports()) else { return Some(no_port(wanted)) };
+        let Some(found) = nearest(wanted, self.names_of_ports()) else {
+            return Some(self.not_there("port", wanted));
+        };
         let (task, port) = found.rsplit_once('.').map_or((None, &*found), |(task, port)| (Some(task), port));
         let cell = self.cell()?;
         let names = self.store().names(&cell)?.clone();
@@ -132,7 +136,7 @@ impl App {
             view.map_or(0, |view| view.capacity)
         };
         let Some(end) = ends.iter().find(|end| capacity(end) > 0).or_else(|| ends.first()).copied() else {
-            return Some(no_port(wanted));
+            return Some(self.not_there("port", wanted));
         };
         self.before = self.screen;
         (self.screen, self.port) = (Screen::Port, Some(end));
@@ -141,7 +145,9 @@ impl App {
     }
 
     fn go_to_node(&mut self, wanted: &str, now: Moment) -> Option<String> {
-        let Some(found) = nearest(wanted, self.names_of_places()) else { return Some(no_place(wanted)) };
+        let Some(found) = nearest(wanted, self.names_of_places()) else {
+            return Some(self.not_there("node or task", wanted));
+        };
         let cell = self.cell()?;
         let names = self.store().names(&cell)?.clone();
         let node = names.nodes.iter().position(|name| name.shown() == found);
@@ -150,13 +156,21 @@ impl App {
             (Some(node), _) => NodeId::from_index(node),
             (None, Some(task)) => names.home(TaskId::from_index(task))?,
             (None, None) => {
-                return Some(no_place(wanted));
+                return Some(self.not_there("node or task", wanted));
             }
         };
         let incarnation = self.store().latest(&cell, node_id).map(|incarnation| incarnation.id);
         let task = task.filter(|_| node.is_none() && incarnation.is_some()).map(TaskId::from_index);
         self.go_to(Place { node: incarnation.ok_or(node_id), task, port: None }, now);
         None
+    }
+
+    /// Why a port, a node or a task of this name cannot be shown.
+    fn not_there(&self, what: &str, wanted: &str) -> String {
+        if self.cell().and_then(|cell| self.store().names(&cell)).is_none() {
+            return "no node has reported yet what is in this cell".to_owned();
+        }
+        format!("this cell has no {what} {}", crate::name::shown(wanted))
     }
 }
 
@@ -168,14 +182,6 @@ fn no_word(wanted: &str) -> String {
 fn nearest(wanted: &str, names: Vec<String>) -> Option<String> {
     let exact = names.iter().find(|name| name.eq_ignore_ascii_case(wanted)).cloned();
     exact.or_else(|| fuzzy(wanted, names).into_iter().next()).filter(|_| !wanted.is_empty())
-}
-
-fn no_port(wanted: &str) -> String {
-    format!("this cell has no port {}", crate::name::shown(wanted))
-}
-
-fn no_place(wanted: &str) -> String {
-    format!("this cell has no node or task {}", crate::name::shown(wanted))
 }
 
 fn no_theme() -> String {
