@@ -42,6 +42,15 @@ impl Span {
     pub const fn micros(us: u64) -> Self {
         Self(Duration::from_micros(us))
     }
+
+    /// The span as a text that changes once a second at most, so that an age by itself causes no thirty frames a second.
+    #[must_use]
+    pub fn in_seconds(self) -> String {
+        match self.0.as_secs() {
+            seconds @ 0..60 => format!("{seconds}s"),
+            _ => self.to_string(),
+        }
+    }
 }
 
 impl fmt::Display for Span {
@@ -74,6 +83,10 @@ mod tests {
             assert_eq!(shown(us), text);
         }
         assert_eq!(shown(11_100_000_000), "3h05m");
+        assert_eq!(
+            [0, 999_999, 59_999_999, 61_000_000].map(|us| Span::micros(us).in_seconds()),
+            ["0s", "0s", "59s", "1m01s"]
+        );
         assert_eq!(shown(1_036_800_000_000), "12d");
         assert!(shown(u64::MAX).len() < 12);
     }

@@ -53,7 +53,7 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink)> {
             _ if is_cut(link.a, link.b) => pieces.push((format!("{name}CUT"), Ink::Bad)),
             Some(us) if us <= LATELY_US => pieces.push((format!("{name}ok"), Ink::Plain)),
             // Without traffic a link is quiet, which is no fault.
-            Some(us) => pieces.push((format!("{name}quiet {}", Span::micros(us)), Ink::Dim)),
+            Some(us) => pieces.push((format!("{name}quiet {}", Span::micros(us).in_seconds()), Ink::Dim)),
             None => unknown += 1,
         }
     }

@@ -30,7 +30,7 @@ pub(super) fn node(app: &App, incarnation: &NodeIncarnation, row: &Row, now: Mom
     let uptime = incarnation.last.as_ref().map(|s| Duration::from_micros(s.snapshot.uptime_us));
     cells[1] = match (presence, uptime) {
         (Presence::Up, Some(uptime)) => {
-            (format!("up {}{}", Span(uptime), restarts(app, incarnation)), Ink::Good)
+            (format!("up {}{}", Span(uptime).in_seconds(), restarts(app, incarnation)), Ink::Good)
         }
         (Presence::Up, None) => ("attached".to_owned(), Ink::Plain),
         (Presence::Silent(_), _) => (presence.to_string(), Ink::Warn),
