@@ -137,9 +137,33 @@ pub(crate) fn next() -> Micros {
     bounds().latest.div_ceil(NANOS_PER_MICRO)
 }
 
-/// Converts an instant to nanoseconds of `CLOCK_MONOTONIC`, for a sleep that begins now; `None` if the instant never comes.
-pub(crate) fn nanos_of(at: Micros) -> Option<u64> {
+/// As [`now`], by the kernel's clock alone. The counter may stand still while the machine is suspended, and a thread that
+/// ran at that moment does not know of it for as long as it uses its anchor. So this decides whether a lease has ended.
+pub(crate) fn now_by_kernel() -> Micros {
+    nanos() / NANOS_PER_MICRO
+}
+
+/// As [`next`], by the kernel's clock alone.
+pub(crate) fn next_by_kernel() -> Micros {
+    nanos().div_ceil(NANOS_PER_MICRO)
+}
+
+/// Makes the calling thread ask the kernel for the time again after its sleep, which begins now. Every sleep of a thread
+/// that reads this clock begins with this call.
+pub(crate) fn sleeps() {
     ANCHOR.with(counter::renew);
+}
+
+/// Whether [`sleeps`] was called during `sleep`.
+#[cfg(test)]
+pub(crate) fn is_told_of(sleep: impl FnOnce()) -> bool {
+    ANCHOR.set(Anchor::in_use());
+    sleep();
+    ANCHOR.get() != Anchor::in_use()
+}
+
+/// Converts an instant to nanoseconds of `CLOCK_MONOTONIC`; `None` if the instant never comes.
+pub(crate) fn nanos_of(at: Micros) -> Option<u64> {
     let at = at.checked_mul(NANOS_PER_MICRO)?;
     Some(at.saturating_sub_signed(ahead()))
 }
@@ -147,7 +171,6 @@ pub(crate) fn nanos_of(at: Micros) -> Option<u64> {
 /// Converts an instant for a kernel timer on `CLOCK_BOOTTIME`; `None` if it never comes. `CLOCK_BOOTTIME` is the node's
 /// own clock, so no offset is subtracted.
 pub(crate) fn boottime(at: Micros) -> Option<Timespec> {
-    ANCHOR.with(counter::renew);
     at.checked_mul(NANOS_PER_MICRO).map(timespec)
 }
 
@@ -214,6 +237,24 @@ mod tests {
         assert_eq!(between(hour - 30, 2_000, 2_010 + HOUR, 2_500), hour - 30, "that is known");
         assert_eq!(between(hour - 30, 3_000, 3_000 + HOUR, 3_010), hour - 10, "known better");
         assert_eq!(between(0, 5_000 + HOUR, 5_020, 5_060 + HOUR), 20 - hour, "in a time namespace");
+    }
+
+    #[test]
+    fn what_decides_about_a_lease_knows_of_a_suspend_at_once() {
+        const LONG: u64 = 10 * NANOS_PER_SECOND;
+        let (here, counter) = here();
+        while counter.is_trusted() && !ANCHOR.with(|anchor| counter.is_in_use(anchor)) {
+            bounds();
+        }
+        // The counter of this thread stood still in a suspend.
+        ANCHOR.set(Anchor::as_before(LONG, here));
+        let kernel = nanos();
+        assert!(now_by_kernel() >= kernel / NANOS_PER_MICRO && next_by_kernel() * NANOS_PER_MICRO >= kernel);
+        if counter.is_trusted() {
+            assert!(now() * NANOS_PER_MICRO < kernel - LONG / 2, "the counter does not know it");
+        }
+        sleeps();
+        assert!(now() * NANOS_PER_MICRO + NANOS_PER_MICRO >= kernel, "after a sleep it does");
     }
 
     #[test]

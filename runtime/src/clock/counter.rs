@@ -36,7 +36,7 @@ pub(super) trait Clocks {
 }
 
 /// One reading of the kernel's clock, between two of the counter.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Anchor {
     kernel: u64,
     before: u64,
@@ -60,6 +60,19 @@ fn nanos(counts: u64, rate: u64) -> u64 {
 impl Anchor {
     /// An anchor without a reading.
     pub const NONE: Self = Self { kernel: 0, before: 0, after: 0, lasts: 0 };
+
+    /// An anchor that a thread uses.
+    #[cfg(test)]
+    pub const fn in_use() -> Self {
+        Self { lasts: 1, ..Self::NONE }
+    }
+
+    /// The anchor of a thread whose counter stood still for so long (ns), for which it is used on.
+    #[cfg(test)]
+    pub fn as_before(nanos: u64, clocks: &impl Clocks) -> Self {
+        let count = clocks.count();
+        Self { kernel: clocks.kernel() - nanos, before: count, after: count, lasts: u64::MAX / 2 }
+    }
 
     fn take(clocks: &impl Clocks) -> Self {
         let before = clocks.count();
@@ -104,6 +117,12 @@ impl Counter {
     /// Whether time is derived from the counter, or will be as soon as its rate is known.
     pub fn is_trusted(&self) -> bool {
         self.rate.load(Ordering::Relaxed) != NEVER
+    }
+
+    /// Whether the rate is known, and the anchor is used.
+    #[cfg(test)]
+    pub fn is_in_use(&self, anchor: &Cell<Anchor>) -> bool {
+        self.rate.load(Ordering::Relaxed) != 0 && anchor.get().lasts != 0
     }
 
     /// The bounds of the present time, derived from the calling thread's anchor or from a new one.

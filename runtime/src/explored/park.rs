@@ -2,6 +2,7 @@
 
 use super::lead::Socket;
 use super::{DEADLOCK, must_fail};
+use crate::clock;
 use crate::explorer::{Arc, explore, thread};
 use crate::sync::handoff::ThreadWaker;
 use crate::sync::lead::{Lead, Led};
@@ -120,4 +121,20 @@ fn a_thread_that_wakes_a_future_calls_back_who_leads_and_who_sleeps() {
 fn a_wake_between_the_last_poll_and_the_wait_must_be_seen() {
     must_fail(DEADLOCK, || woken_by_a_thread(Some(Plant::GoesBlindly), true));
     must_fail(DEADLOCK, || woken_by_a_thread(Some(Plant::GoesBlindly), false));
+}
+
+#[test]
+fn a_thread_that_slept_asks_the_kernel_for_the_time() {
+    let seen = explore(|| {
+        let park = Arc::new(Park::new(None));
+        let caller = {
+            let park = Arc::clone(&park);
+            thread::spawn(move || park.call())
+        };
+        let asks = clock::is_told_of(|| park.sleep());
+        caller.join().unwrap();
+        asks
+    });
+    // Without a sleep, because the call came first, the anchor may be used on.
+    assert!(seen[&true] > 0 && seen[&false] > 0, "{seen:?}");
 }

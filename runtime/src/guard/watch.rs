@@ -204,6 +204,7 @@ impl Watch {
         if self.output.is_open {
             fds.push(PollFd::new(&self.output.pipe, PollFlags::IN));
         }
+        clock::sleeps();
         match poll(&mut fds, None) {
             Ok(_) => {}
             Err(Errno::INTR) => return Ok([false; 4]),

@@ -277,6 +277,7 @@ impl Link for InProcess {
             }
             let next = state.flights.peek().map(|first| first.0.due);
             let wake_at = next.into_iter().chain(until).min();
+            clock::sleeps();
             state = match wake_at {
                 None => own.changed.wait(state).unwrap_or_else(PoisonError::into_inner),
                 Some(at) => {

@@ -249,7 +249,7 @@ impl Comm {
     pub fn take(&mut self, stamped: &mut Stamped, effects: &mut Effects) -> Option<Completion> {
         // The bringing thread, and with it the node, may have been stopped since it read the clock: a lease that has ended
         // meanwhile ends before the input has any effect (D153).
-        let at = if self.coupled { stamped.at.max(clock::now()) } else { stamped.at };
+        let at = if self.coupled { stamped.at.max(clock::now_by_kernel()) } else { stamped.at };
         let elapsed = self.elapsed(at);
         let at = self.now() + elapsed.0;
         if let Input::Packet(packet) = &mut stamped.input {

@@ -243,7 +243,7 @@ impl Side {
 /// The time of a step: the time of the thread's present turn for scripts. For a task of a couple the clock is read each
 /// time, because the thread may have been stopped since its turn began (D153).
 fn time(comm: &Comm, effects: &mut Effects) -> Micros {
-    if comm.is_coupled() { clock::next() } else { effects.time_of_turn() }
+    if comm.is_coupled() { clock::next_by_kernel() } else { effects.time_of_turn() }
 }
 
 /// The outbox of a script's steps.

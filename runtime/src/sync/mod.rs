@@ -91,11 +91,18 @@ impl Word {
     }
 }
 
-#[cfg(not(test))]
 impl Word {
     /// Sleeps while the word is `value`, at most until `deadline` in nanoseconds of the monotonic clock. Wake-ups may be
     /// spurious.
     pub fn wait(&self, value: u32, deadline: Option<u64>) {
+        crate::clock::sleeps();
+        self.sleep(value, deadline);
+    }
+}
+
+#[cfg(not(test))]
+impl Word {
+    fn sleep(&self, value: u32, deadline: Option<u64>) {
         use rustix::thread::futex;
         let timespec = deadline.map(crate::clock::timespec);
         // The call was interrupted, timed out, or the word has changed: the caller checks the word in every case.
@@ -113,7 +120,7 @@ impl Word {
 #[cfg(test)]
 impl Word {
     /// An explorer has no time, so a deadline never passes by itself: see [`time_out`](Self::time_out).
-    pub fn wait(&self, value: u32, _deadline: Option<u64>) {
+    fn sleep(&self, value: u32, _deadline: Option<u64>) {
         let guard = self.sleeper.0.lock().unwrap();
         if self.load() == value {
             drop(self.sleeper.1.wait(guard));

@@ -241,6 +241,7 @@ impl UdpLink {
                 return Ok(OwnPoll { link: self });
             }
             poll.waiting += 1;
+            clock::sleeps();
             poll = match until.map(|until| until.saturating_duration_since(Instant::now())) {
                 Some(Duration::ZERO) => {
                     poll.waiting -= 1;

@@ -1,6 +1,7 @@
 //! The UDP sockets: the options that are set in the kernel, and the data that the kernel gives with each datagram.
 
 use super::UdpError;
+use crate::clock;
 use crate::link::residency::Reading;
 use imrs_wire::envelope::MAX_DATAGRAM_BYTES;
 use nix::sys::socket::{ControlMessageOwned, MsgFlags, recvmsg, setsockopt, sockopt};
@@ -255,6 +256,7 @@ pub(super) fn wait_for_room(
 ) -> io::Result<Waited> {
     let mut fds = vec![PollFd::new(epoll, PollFlags::IN)];
     fds.extend(full.iter().map(|full| PollFd::new(*full, PollFlags::OUT)));
+    clock::sleeps();
     loop {
         let left = until.map(|until| until.saturating_duration_since(Instant::now()));
         // A wait that is too long for the kernel's type of a time counts as a wait without end.

@@ -11,6 +11,7 @@
 
 use super::UdpError;
 use super::socket::Wake;
+use crate::clock;
 use rustix::event::epoll::{self, CreateFlags, EventData, EventFlags};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use std::io;
@@ -118,6 +119,7 @@ impl Watch {
     /// As [`wait`](Self::wait), for at most `left`. Returns `None` if the wait ended early, so that the caller must
     /// wait again.
     pub(super) fn wait_some(&self, left: Option<Duration>) -> io::Result<Option<Seen>> {
+        clock::sleeps();
         let seen = match left {
             Some(left) if left < COARSE => self.wait_exactly(left),
             left => self.wait_long(left),
@@ -177,5 +179,19 @@ impl Watch {
         } else {
             Seen::Readable(told)
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wait_in_the_sockets_makes_the_thread_ask_the_kernel_for_the_time() {
+        let watch = Watch::new(true).expect("an epoll instance");
+        assert!(clock::is_told_of(|| drop(watch.wait(Some(Instant::now())))));
+        assert!(clock::is_told_of(|| {
+            super::super::socket::wait_for_room(watch.epoll(), &[], Some(Instant::now())).expect("a wait");
+        }));
     }
 }
