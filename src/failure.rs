@@ -41,6 +41,11 @@ pub enum Failure {
     #[cfg(feature = "bench")]
     #[error(transparent)]
     Bench(#[from] imrs_bench::BenchError),
+    /// The claims were checked, but too few fused steps were compared for that to mean anything.
+    #[error(
+        "only {times} {kind} were compared in fused and in small steps, and 1,000 are the least: report this"
+    )]
+    TooFewCompared { kind: &'static str, times: u64 },
     /// The monitor failed.
     #[error(transparent)]
     Monitor(#[from] imrs_monitor::MonitorError),
@@ -73,6 +78,7 @@ impl Failure {
                 LaunchError::Start(_) | LaunchError::NotReady { refused: false, .. } => Exit::Internal,
             },
             Self::Node(error) => exit_of_node(error),
+            Self::TooFewCompared { .. } => Exit::Internal,
             Self::Monitor(error) => match error.exit_code() {
                 2 => Exit::Usage,
                 3 => Exit::Nothing,

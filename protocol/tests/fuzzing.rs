@@ -3,7 +3,7 @@
 #[path = "../../fuzz/seeds.rs"]
 mod seeds;
 
-use crate::support::bytes::{inputs, packets};
+use crate::support::bytes::{fused, inputs, packets};
 use proptest::prelude::*;
 
 proptest! {
@@ -17,6 +17,11 @@ proptest! {
     #[test]
     fn random_bytes_are_inputs(data in proptest::collection::vec(any::<u8>(), 0..900)) {
         inputs(&data);
+    }
+
+    #[test]
+    fn random_bytes_are_fused_as_small_steps(data in proptest::collection::vec(any::<u8>(), 0..900)) {
+        fused(&data);
     }
 }
 
@@ -38,4 +43,9 @@ fn kept_packets_are_harmless() {
 #[test]
 fn kept_inputs_are_harmless() {
     replay("handle", inputs);
+}
+
+#[test]
+fn kept_steps_are_fused_as_small_steps() {
+    replay("fused", fused);
 }

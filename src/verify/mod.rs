@@ -21,7 +21,7 @@ use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::names::did_you_mean;
 use crate::output::Output;
-use imrs_model::{Explorer, ExplorerError, Limits, Options, Outcome, Report};
+use imrs_model::{Explorer, ExplorerError, Limits, Options, Outcome, Report, compared};
 use progress::Lines;
 use std::net::SocketAddr;
 use std::num::NonZero;
@@ -30,6 +30,9 @@ use std::time::Instant;
 
 /// The memory limit of a check if the user gives no `--memory`, in bytes.
 const DEFAULT_MEMORY: u64 = 4 << 30;
+
+/// How often each kind of fused step is compared at least while all claims are checked.
+const LEAST_COMPARED: u64 = 1_000;
 
 /// Checks a cell if one was named, else the protocol's claims.
 ///
@@ -70,7 +73,12 @@ pub fn run(args: &VerifyArgs, out: &mut Output) -> Result<Exit, Failure> {
         Format::Json => out.json(&report)?,
         Format::Text => report::show(&report, args.claim.is_some(), started.elapsed(), out)?,
     }
-    Ok(verdict(&report))
+    match compared().rarest() {
+        (kind, times) if args.claim.is_none() && times < LEAST_COMPARED => {
+            Err(Failure::TooFewCompared { kind, times })
+        }
+        _ => Ok(verdict(&report)),
+    }
 }
 
 /// Serves the state space of a claim over HTTP until the process is ended.

@@ -218,7 +218,7 @@ fn last_line(report: &Report, took: Duration, out: &mut Output) -> Result<(), Fa
     let states: u64 = report.claims.iter().map(|v| v.states).sum();
     let style = if good == all { GOOD } else { BAD };
     let what = Styled(style, format!("{good} of {all} as expected"));
-    let Compared { messages, answers, arrivals, meetings, gets, pairs } = compared();
+    let Compared { messages, answers, arrivals, meetings, gets, pairs, .. } = compared();
     if messages + answers + arrivals + gets > 0 {
         let [messages, answers] = [count(messages, "message"), count(answers, "answer")];
         let [arrivals, meetings] = [count(arrivals, "arrival"), count(meetings, "meeting")];

@@ -29,7 +29,7 @@ impl CellState {
             |node, out| node.small_steps(node.now(), NodeInput::Request(task, *request), out),
         )?;
         let is_release = |effect: &Effect| matches!(effect, Effect::Signalled(_, Signal::Released { .. }));
-        count(request, effects.iter().any(is_release));
+        count(&here.parts().table, request, effects.iter().any(is_release));
         self.compare_pairs(i, task, request)
     }
 

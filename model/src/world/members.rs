@@ -61,7 +61,11 @@ impl World {
             return Ok(());
         }
         small.small_steps(small.now(), NodeInput::Request(task, request), &mut expected);
-        count(&request, found.signals.iter().any(|(_, signal)| matches!(signal, Signal::Released { .. })));
+        count(
+            &fused.parts().table,
+            &request,
+            found.signals.iter().any(|(_, signal)| matches!(signal, Signal::Released { .. })),
+        );
         if found == expected && are_same(&fused, &small) { Ok(()) } else { Err(Violation::Fused) }
     }
 }

@@ -184,7 +184,18 @@ fn random_cells_run_as_they_are_searched() {
     let fused = compared();
     println!("in fused steps, each compared with its small steps: {fused:?}");
     let often = |count: u64| count * 300 >= 1_000 * cells;
-    assert!(!word.is_empty() || often(fused.messages) && often(fused.answers));
+    let most_kinds = [
+        fused.messages,
+        fused.answers,
+        fused.queries,
+        fused.responses,
+        fused.arrivals,
+        fused.gets,
+        fused.pairs,
+    ];
+    // Of the crowds, few meet.
+    let met = often(2 * fused.meetings);
+    assert!(!word.is_empty() || most_kinds.into_iter().all(often) && met, "{fused:?}");
 }
 
 /// Makes random walks through a crowd without a meaningful search: the search keeps only one state, because a crowd is too

@@ -3,6 +3,7 @@
 
 use super::Effects;
 use super::NextExpiry;
+use super::fused::{Counts, Run};
 use super::packing::{repack, without_arguments};
 use super::plan::Plan;
 use super::world::World;
@@ -23,6 +24,19 @@ impl Bytes<'_> {
     fn byte(&mut self) -> u8 {
         self.take::<1>()[0]
     }
+
+    /// A random cell, with its own rules and with a couple only if asked for.
+    fn plan(&mut self, has_rules: bool, has_couple: bool) -> Plan {
+        let [tasks, nodes, delay, ports] = self.take();
+        let ports = (0..1 + usize::from(ports % 4)).map(|_| self.take()).collect();
+        let rules = if has_rules { self.take() } else { [0; 4] };
+        Plan::new([tasks, nodes, delay], ports, rules, if has_couple { self.byte() } else { 0 })
+    }
+
+    fn operation(&mut self) -> (u8, u8, u16, u16) {
+        let [what, which, a, b, c, d] = self.take();
+        (what, which, u16::from_le_bytes([a, b]), u16::from_le_bytes([c, d]))
+    }
 }
 
 /// The most operations that one fuzz input makes.
@@ -34,15 +48,7 @@ const OPERATIONS: usize = 300;
 pub fn inputs(data: &[u8]) {
     let mut bytes = Bytes(data);
     let [flags, mask] = bytes.take();
-    let shape = bytes.take::<4>();
-    let ports = (0..1 + usize::from(shape[3] % 4)).map(|_| bytes.take()).collect();
-    let rules = if flags & 1 == 0 { [0; 4] } else { bytes.take() };
-    let plan = Plan::new(
-        [shape[0], shape[1], shape[2]],
-        ports,
-        rules,
-        if flags & 8 == 0 { 0 } else { bytes.byte() },
-    );
+    let plan = bytes.plan(flags & 1 != 0, flags & 8 != 0);
     let mut world = World::new(&plan.build(), flags & 2 != 0);
     let mut other = world.clone();
     let packs = flags & 4 != 0;
@@ -50,9 +56,8 @@ pub fn inputs(data: &[u8]) {
         if bytes.0.is_empty() {
             break;
         }
-        let [what, which, a, b, c, d] = bytes.take();
-        let op = (what, which, u16::from_le_bytes([a, b]), u16::from_le_bytes([c, d]));
-        let task = usize::from(which) % world.tasks.len();
+        let op = bytes.operation();
+        let task = usize::from(op.1) % world.tasks.len();
         if mask >> (i % 8) & 1 == 1 {
             other.rebase();
             if packs {
@@ -67,6 +72,20 @@ pub fn inputs(data: &[u8]) {
         }
         next_expiry_is_exact(&world, task);
         assert_eq!(other.bytes(task), world.bytes(task), "packed state of T{task}");
+    }
+}
+
+/// Drives the nodes of a random cell, which is read from `data` as the operations are. Checks after every operation that a
+/// fused step does what the small steps do, and that a step that is not fused changes nothing.
+pub fn fused(data: &[u8]) {
+    let mut bytes = Bytes(data);
+    let flags = bytes.byte();
+    let mut run = Run::new(&bytes.plan(flags & 1 != 0, flags & 8 != 0));
+    for _ in 0..OPERATIONS {
+        if bytes.0.is_empty() {
+            break;
+        }
+        run.step(bytes.operation(), &mut Counts::new());
     }
 }
 

@@ -2,6 +2,7 @@
 //! ([`world::World`]). Every step checks the invariants. A cell of nodes in virtual time is `imrs_testkit::VirtualCell`.
 
 pub mod bytes;
+pub mod fused;
 pub mod packing;
 pub mod plan;
 pub mod shift;

@@ -1,0 +1,8 @@
+//! Fuzzes the nodes of a small cell: any operations. A fused step must do what the small steps do that it stands for.
+#![no_main]
+
+#[allow(dead_code, reason = "a fuzz target uses a part of it")]
+#[path = "../../protocol/tests/support/mod.rs"]
+mod support;
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| support::bytes::fused(data));
