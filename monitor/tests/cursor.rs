@@ -149,3 +149,26 @@ fn a_click_selects_an_event_and_a_second_one_opens_its_message() {
     click(&mut stage, 20, row);
     assert_eq!(stage.app.message().map(|key| key.number), Some(6));
 }
+
+/// A line that is open while the user clicks elsewhere belongs to the screen on which it was opened.
+#[test]
+fn a_click_ends_the_typing_of_a_filter() {
+    let mut stage = Stage::busy(Theme::ASCII);
+    stage.keys(NOW, "/halt");
+    let shown = drawn(&mut stage);
+    let tab = shown.lines().next().and_then(|line| line.find(" 6 ")).expect("the tab");
+    click(&mut stage, tab + 1, 0);
+    let events = stage.app.events().len();
+    stage.keys(NOW, "z");
+    assert_eq!(
+        (stage.app.screen, stage.app.filter(), stage.app.events().len()),
+        (Screen::Events, "", events)
+    );
+    stage.key(NOW, KeyCode::Esc);
+    stage.keys(NOW, "1");
+    assert_eq!(stage.app.filter(), "halt");
+    stage.keys(NOW, ":port");
+    assert!(matches!(click(&mut stage, usize::from(SIZE.0) - 1, usize::from(SIZE.1) - 4), Effect::Draw));
+    stage.keys(NOW, "6");
+    assert_eq!(stage.app.screen, Screen::Events, "keys are keys again");
+}

@@ -34,6 +34,18 @@ fn a_flood_from_several_nodes_takes_a_line_of_each_and_the_death_before_it_stays
     assert!(shown.lines().any(|line| line.contains("nh") && line.contains("dead")), "{shown}");
 }
 
+/// A hundred senders whose messages expire in turn take a hundred lines, however long that goes on.
+#[test]
+fn a_flood_with_many_subjects_is_folded_too() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    for n in 0..5_000_u32 {
+        let dropped = observed(Event::Discarded(Reason::Expired), HALT, u16::try_from(n % 100).unwrap(), n);
+        stage.frame(ms(2_000 + 10 * u64::from(n)), 0, ServerFrame::Events(events(0, &[dropped])));
+    }
+    let times: Vec<_> = stage.app.events().iter().skip(3).map(|e| e.times).collect();
+    assert_eq!(times, [50; 100]);
+}
+
 /// If an event repeats after a pause that is longer than the window, it gets another line.
 #[test]
 fn a_line_ends_when_its_event_has_not_come_for_the_window() {

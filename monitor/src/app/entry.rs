@@ -72,6 +72,12 @@ impl App {
         Effect::Draw
     }
 
+    /// Ends the typing before something else is done. What was typed of a filter stays the filter of its screen. Returns
+    /// whether a line was open.
+    pub(super) fn leave_line(&mut self) -> bool {
+        self.entry_line.take().is_some()
+    }
+
     /// While the user types a filter, the rows follow it.
     fn apply_filter(&mut self) {
         let text = self.entry_line.as_ref().filter(|entry| entry.kind == Kind::Filter);

@@ -14,6 +14,7 @@ impl App {
         if !self.mouse {
             return Effect::Nothing;
         }
+        let typed = event.kind == MouseEventKind::Down(MouseButton::Left) && self.leave_line();
         match event.kind {
             MouseEventKind::ScrollUp => self.again(Action::Up, now),
             MouseEventKind::ScrollDown => self.again(Action::Down, now),
@@ -64,6 +65,7 @@ impl App {
                     Effect::Draw
                 }
                 Some(Hit::Key(action)) => self.act(action, now),
+                None if typed => Effect::Draw,
                 None => Effect::Nothing,
             },
             MouseEventKind::Down(_)

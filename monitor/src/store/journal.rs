@@ -7,7 +7,8 @@ use crate::clock::Moment;
 use crate::name::Name;
 use crate::query::{EventRow, Filter};
 use imrs_protocol::{Event, Observation, Reason, TaskId};
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -15,8 +16,6 @@ use std::time::Duration;
 pub const KEPT: usize = 4096;
 /// A notable event that repeats within this time of its last occurrence shares that occurrence's entry.
 pub const WINDOW: Duration = Duration::from_secs(10);
-/// How many of the latest entries are searched for an entry to share.
-const SEARCHED: usize = 64;
 
 /// The severity of an entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -181,6 +180,19 @@ impl Entry {
         same && self.node == other.node
     }
 
+    /// A number that is the same for two entries of which one [repeats](Self::repeats) the other.
+    fn subject(&self) -> u64 {
+        let mut hasher = DefaultHasher::new();
+        self.node.hash(&mut hasher);
+        match &self.what {
+            What::Observed { task, observation } => {
+                (task, observation.event, observation.port, observation.peer).hash(&mut hasher);
+            }
+            What::Noticed { kind, object, detail, .. } => (kind, object, detail).hash(&mut hasher),
+        }
+        hasher.finish()
+    }
+
     /// Whether the event may share an entry. Observations of a task and losses may. The start or end of a node or task
     /// may not, because their order matters.
     fn folds(&self) -> bool {
@@ -255,6 +267,8 @@ pub struct Journal {
     bad: VecDeque<Entry>,
     notable: VecDeque<Entry>,
     trace: VecDeque<Entry>,
+    /// For each subject of `bad` and `notable`, the number of its newest entry.
+    newest: BTreeMap<u64, u64>,
     /// How many entries were added so far.
     ever: u64,
 }
@@ -263,22 +277,36 @@ impl Journal {
     /// Adds an entry, or increases the count of an earlier entry that it repeats. Routine traffic can only repeat the
     /// entry just before it, because its order matters.
     pub fn add(&mut self, entry: Entry) {
-        let (lines, searched) = match entry.level() {
-            Severity::Trace => (&mut self.trace, 1),
-            Severity::Note | Severity::Warn => (&mut self.notable, SEARCHED),
-            Severity::Bad => (&mut self.bad, SEARCHED),
+        let lines = match entry.level() {
+            Severity::Trace => &mut self.trace,
+            Severity::Note | Severity::Warn => &mut self.notable,
+            Severity::Bad => &mut self.bad,
         };
-        let searched = if entry.folds() { searched } else { 0 };
+        let (folds, is_routine) = (entry.folds(), entry.level() == Severity::Trace);
+        let subject = (folds && !is_routine).then(|| entry.subject());
+        let earlier = match subject {
+            Some(subject) => self.newest.get(&subject).and_then(|&number| {
+                let at = lines.binary_search_by_key(&number, |entry| entry.number).ok()?;
+                lines.get_mut(at)
+            }),
+            None if folds => lines.back_mut(),
+            None => None,
+        };
         let recent = |earlier: &Entry| entry.at.saturating_sub(earlier.at) <= WINDOW;
-        let shares = |earlier: &&mut Entry| recent(earlier) && earlier.repeats(&entry);
-        if let Some(same) = lines.iter_mut().rev().take(searched).find(shares) {
+        if let Some(same) = earlier.filter(|earlier| recent(earlier) && earlier.repeats(&entry)) {
             let times = same.times.saturating_add(entry.times);
             *same = Entry { times, number: same.number, first: same.first, ..entry };
             return;
         }
-        if lines.len() == KEPT {
-            lines.pop_front();
+        if lines.len() == KEPT
+            && let Some(oldest) = lines.pop_front()
+            && !is_routine
+            && let subject = oldest.subject()
+            && self.newest.get(&subject) == Some(&oldest.number)
+        {
+            self.newest.remove(&subject);
         }
+        self.newest.extend(subject.map(|subject| (subject, self.ever)));
         lines.push_back(Entry { number: self.ever, ..entry });
         self.ever += 1;
     }
@@ -309,6 +337,7 @@ impl Journal {
     #[must_use]
     pub fn weight(&self) -> usize {
         (self.bad.len() + self.notable.len() + self.trace.len()) * size_of::<Entry>()
+            + self.newest.len() * size_of::<(u64, u64)>()
     }
 
     /// The number of the next entry.
