@@ -11,6 +11,7 @@ pub mod udp;
 pub use crate::sync::lead::Came;
 use imrs_protocol::{Incarnation, NodeId, Packet, PacketError, Ticks};
 use imrs_wire::envelope::{EnvelopeError, MAX_PACKETS};
+use imrs_wire::obs::LinkReport;
 use std::fmt;
 use std::time::{Duration, Instant};
 
@@ -121,6 +122,11 @@ pub trait Link: Send + Sync {
     /// Other counters of the link, by name: how much work it does, and how certain it is of the times for which
     /// datagrams waited.
     fn evidence(&self) -> Vec<(&'static str, u64)> {
+        Vec::new()
+    }
+
+    /// How long datagrams from each neighbour took, and how many were damaged, as far as the link measures that.
+    fn health(&self) -> Vec<LinkReport> {
         Vec::new()
     }
 
@@ -262,6 +268,12 @@ impl LinkDiscard {
             Self::StaleSession => 20,
             Self::Forged => 21,
         }
+    }
+
+    /// Whether the datagram is damaged, or is no datagram of this program at all. A checksum or a tag shows that.
+    #[must_use]
+    pub const fn is_damage(self) -> bool {
+        matches!(self, Self::TooShort | Self::NotImrs | Self::Checksum | Self::Length | Self::Forged)
     }
 
     /// A short name for tables and counters.

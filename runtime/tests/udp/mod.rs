@@ -2,6 +2,7 @@
 
 mod faults;
 mod flood;
+mod health;
 mod hostile;
 mod keys;
 mod mutated;

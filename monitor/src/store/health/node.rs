@@ -51,6 +51,7 @@ pub(super) fn look(store: &Store, incarnation: &NodeIncarnation, now: Moment, fo
     }
     timers(incarnation, now, found);
     links::look(incarnation, &lately, found);
+    links::measured(incarnation, now, found);
     found.extend_from_slice(incarnation.looked.or_look(|| tasks(store, incarnation, &lately)));
 }
 

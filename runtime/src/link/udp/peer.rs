@@ -1,10 +1,13 @@
 //! The state that a node keeps for each neighbour with which it communicates over UDP.
 
 use super::delay::DRIFT_PPM;
+use super::health::Health;
 use super::inbound::Inbound;
+use super::integrity::Progress;
 use super::keys::Channel;
 use super::session::Known;
 use super::socket::set_segment;
+use crate::lock::lock;
 use imrs_protocol::{Incarnation, NodeId, Ticks};
 use imrs_wire::envelope::{Datagram, Digests, Echo, Refused, Session, supersedes};
 use std::net::{SocketAddr, UdpSocket};
@@ -42,6 +45,7 @@ pub(super) struct Peer {
     /// Whether `refusal` has a value.
     pub(super) is_refused: AtomicBool,
     pub(super) pace: Mutex<Pace>,
+    pub(super) health: Health,
     /// The sessions with keys, if the link has keys. This lock is taken last, and never held while a datagram is sent
     /// or received.
     pub(super) channel: Mutex<Option<Channel>>,
@@ -140,8 +144,14 @@ impl Peer {
             refusal: Mutex::default(),
             is_refused: AtomicBool::new(false),
             pace: Mutex::default(),
+            health: Health::new(declared),
             channel: Mutex::default(),
         }
+    }
+
+    /// How many of the neighbour's datagrams were accepted, and which counter comes next.
+    pub(super) fn progress(&self) -> Progress {
+        lock(&self.known).as_ref().map_or_else(Progress::default, Known::progress)
     }
 
     /// The newest incarnation of the neighbour that was seen.

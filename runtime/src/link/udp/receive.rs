@@ -220,8 +220,8 @@ impl Together<'_> {
         for bytes in received.datagrams() {
             count += 1;
             if let Err(reason) = self.take(bytes) {
-                if let (LinkDiscard::Version, Some(from)) = (reason, self.from) {
-                    self.link.hint_at_version(from);
+                if let Some(from) = self.from {
+                    self.link.discarded_of(from, reason, &self.now);
                 }
                 self.sink.discarded(reason);
             }
@@ -339,7 +339,9 @@ impl Together<'_> {
         *lock(&peer.heard) = Some(heard(envelope, at));
         let echo = link.own_echo(envelope);
         let known = admit(known, contact, envelope, (at, peer.declared));
-        known.delay.arrived(envelope.tx_mono, echo, at)
+        let hop = known.delay.arrived(envelope.tx_mono, echo, at);
+        peer.health.arrived(&hop, at);
+        hop.longest
     }
 
     /// Handles a greeting. A greeting changes the node's knowledge of its sender only if its echo proves when it was sent.
@@ -364,6 +366,9 @@ impl Together<'_> {
         if let Some(contact) = contact {
             self.hand_over();
             self.enter(peer, &mut known, (envelope, contact), at);
+        }
+        if let Some(known) = known.as_mut().filter(|_| by.is_some()) {
+            known.has_greeted();
         }
         drop(known);
         // A new neighbour must learn at once that this node listens. The answer echoes the clock of this greeting, so
