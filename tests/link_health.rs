@@ -3,7 +3,8 @@
 use crate::kept_out::Between;
 use crate::support::live::named;
 use crate::support::program::Program;
-use crate::support::{Said, imrs, number, own_address, run_in, runtime_dir};
+use crate::support::{Said, imrs, number, own_address, run_in, runtime_dir, signal};
+use rustix::process::Signal;
 use serde_json::Value;
 use std::net::{Ipv4Addr, UdpSocket};
 use std::path::Path;
@@ -98,6 +99,31 @@ fn a_link_that_damages_datagrams_is_faulty_on_the_screen_in_the_summary_and_in_t
         let is_faulty = said.out.contains(" is faulty: ");
         assert!(said.code == Some(6) || !is_faulty && said.code == Some(0), "{said:?}");
     }
+}
+
+#[test]
+fn a_node_that_stops_in_order_tells_its_neighbours() {
+    let dir = runtime_dir();
+    let (own, ports) = own_address();
+    let cell = cell(dir.path(), "news.cell", own, ports);
+    let made = run_in(dir.path(), &["keygen", &cell]);
+    assert_eq!(made.code, Some(0), "{made:?}");
+    let start =
+        |node: &str| Program::start(imrs(dir.path(), &["run", &cell, "--node", node, "--for", "10m"]));
+    let (other, mut node) = (start("nb"), start("na"));
+    // A service manager stops a node with this signal.
+    let mut seen = crate::support::live::Seen::by_monitor(dir.path());
+    seen.until("the nodes have talked", |seen| {
+        let links = named(&seen["nodes"], "na")["links"].as_array().cloned().unwrap_or_default();
+        links.iter().any(|link| number(&link["delay"]["count"]) + number(&link["unmeasured"]) > 0)
+    });
+    signal(other.pid(), Signal::TERM);
+    let said = other.finish();
+    assert_eq!(said.code, Some(0), "{said:?}");
+    while !node.line().1.contains("node nb has stopped in order, it says to na") {}
+    node.interrupt();
+    let said = node.finish();
+    assert_eq!(said.code, Some(0), "{said:?}");
 }
 
 #[test]

@@ -24,6 +24,7 @@ fn reports(stage: &mut Stage, at: u64, recent: Delays, integrity: Integrity) {
         recent_us: 6_000_000,
         unmeasured: 17,
         integrity,
+        has_stopped: false,
     };
     let state = snapshot(1);
     let heard = LinkView { peer: NodeId(0), heard_us: Some(20), sent: 4, received: 9 };
@@ -87,6 +88,36 @@ fn a_faulty_link_is_a_finding_a_word_beside_the_link_and_one_line_of_the_journal
     assert_eq!(shown(&mut stage, 2_300).0, [""; 0], "it is well again");
     let lines = stage.app.store().journal().lines(false, "");
     assert_eq!(lines.iter().filter(|line| line.kind() == "link faulty").count(), 1);
+}
+
+#[test]
+fn a_node_that_a_neighbour_saw_stop_is_not_dead_and_not_missing() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    stage.lose(ms(2_000), 0);
+    assert!(codes(stage.app.store(), ms(2_100)).contains(&"node-dead"));
+    reports(&mut stage, 2_100, delays(0, 0, 0), Integrity::default());
+    assert!(codes(stage.app.store(), ms(2_100)).contains(&"node-dead"), "nl said no goodbye");
+    let link = LinkReport {
+        peer: NodeId(0),
+        delay: Delays::default(),
+        recent: Delays::default(),
+        recent_us: 6_000_000,
+        unmeasured: 0,
+        integrity: Integrity::default(),
+        has_stopped: true,
+    };
+    let frame = ServerFrame::Links(LinkReports { mono_us: 5_000, links: vec![link] });
+    stage.frame(ms(2_200), 1, frame.clone());
+    assert!(!codes(stage.app.store(), ms(2_200)).contains(&"node-dead"));
+    assert!(shown(&mut stage, 2_200).1.contains("nl-nr STOPPED"));
+    // A monitor that came later has never seen the node.
+    let mut stage = Stage::new(Theme::ASCII);
+    stage.attach(ms(1_000), 1, 1);
+    stage.attach(ms(1_000), 2, 1);
+    let missing = |stage: &Stage| codes(stage.app.store(), ms(1_200)).contains(&"node-missing");
+    assert!(missing(&stage));
+    stage.frame(ms(1_100), 1, frame);
+    assert!(!missing(&stage));
 }
 
 #[test]

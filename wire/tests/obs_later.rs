@@ -38,6 +38,7 @@ pub fn samples_1_4() -> Vec<(&'static str, Vec<u8>)> {
         recent_us: 7_200_000,
         unmeasured: 41,
         integrity,
+        has_stopped: peer == 2,
     };
     let faulty = Integrity { failures: 300, is_faulty: true, faults: 2, unmatched: 1 };
     let links = vec![link(1, Integrity::default()), link(2, faulty)];

@@ -26,6 +26,8 @@ pub struct LinkSummary {
     pub margin: &'static str,
     /// What was damaged.
     pub integrity: Integrity,
+    /// Whether the neighbour had said at the end that it stopped in order.
+    pub has_stopped: bool,
 }
 
 /// The datagrams that a node dropped, and that no node of the cell sent in this form.
@@ -59,6 +61,7 @@ impl LinkSummary {
                 Margin::Exceeded => "exceeded",
             },
             integrity: report.integrity,
+            has_stopped: report.has_stopped,
         }
     }
 
@@ -190,6 +193,7 @@ mod tests {
             recent_us: 7_000_000,
             unmeasured: 4,
             integrity: Integrity::default(),
+            has_stopped: false,
         }
     }
 

@@ -35,6 +35,8 @@ pub struct Timeline<'a> {
     refused: BTreeSet<String>,
     /// For each link that was faulty, by receiver and sender, how often a line has reported it.
     faults: BTreeMap<(NodeId, NodeId), u64>,
+    /// The neighbours that had stopped by the last report of a node, by node.
+    stopped: BTreeSet<(NodeId, NodeId)>,
     /// For each node, whether too many datagrams came that no node of the cell sent.
     alarms: Vec<Alarm>,
 }
@@ -86,6 +88,7 @@ impl Fold for Timeline<'_> {
             Fact::Said(node, Word::Figures(figures)) => {
                 self.refusals(at, *node, figures);
                 self.links(at, *node, figures);
+                self.stops(at, *node, figures);
             }
             Fact::Said(node, Word::HeldBack(held)) => self.held_back(at, *node, held),
             Fact::Fault(fault) => self.add(at, Entry::Fault(self.fault(*fault))),
@@ -111,6 +114,7 @@ impl<'a> Timeline<'a> {
             paces: vec![(0, 0); loaded.table.cell().tasks.len()],
             refused: BTreeSet::new(),
             faults: BTreeMap::new(),
+            stopped: BTreeSet::new(),
             alarms: vec![Alarm::default(); loaded.table.cell().nodes.len()],
         }
     }
@@ -191,6 +195,23 @@ impl<'a> Timeline<'a> {
             let words = refusal.words(self.name(node));
             if self.refused.insert(words.clone()) {
                 self.add(at, Entry::Broken(words));
+            }
+        }
+    }
+
+    /// Adds a line when a neighbour has said that it stopped.
+    fn stops(&mut self, at: u64, node: NodeId, figures: &Figures) {
+        for report in &figures.links {
+            let ends = (node, report.peer);
+            if !report.has_stopped {
+                self.stopped.remove(&ends);
+            } else if self.stopped.insert(ends) {
+                let words = format!(
+                    "node {} has stopped in order, it says to {}",
+                    self.name(report.peer),
+                    self.name(node)
+                );
+                self.add(at, Entry::Fault(words));
             }
         }
     }

@@ -67,6 +67,10 @@ impl Link for Way {
         self.link().evidence()
     }
 
+    fn goodbye(&self) {
+        self.link().goodbye();
+    }
+
     fn health(&self) -> Vec<LinkReport> {
         self.link().health()
     }

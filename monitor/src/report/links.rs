@@ -20,6 +20,8 @@ pub(super) struct Link<'a> {
     /// How the recent delays compare with the bound: `enough`, `near` or `exceeded`.
     margin: &'static str,
     integrity: Integrity,
+    /// Whether the neighbour has said that it stopped in order.
+    has_stopped: bool,
 }
 
 /// The links to a node; empty if it does not measure them.
@@ -37,6 +39,7 @@ pub(super) fn links(incarnation: &NodeIncarnation, now: Moment) -> Vec<Link<'_>>
             Margin::Exceeded => "exceeded",
         },
         integrity: measured.report.integrity,
+        has_stopped: measured.report.has_stopped,
     };
     incarnation.measured(now).map(link).collect()
 }

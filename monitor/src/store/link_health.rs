@@ -1,8 +1,9 @@
 //! What nodes report of their links: how long datagrams took, and whether links count as faulty.
 
 use super::journal::Severity;
-use super::{NodeIncarnation, Received, Store};
+use super::{Condition, NodeIncarnation, Received, Store};
 use crate::clock::Moment;
+use crate::name::Name;
 use imrs_protocol::{NodeId, Ticks};
 use imrs_wire::obs::{LinkReport, LinkReports, Margin};
 use std::time::Duration;
@@ -46,6 +47,23 @@ impl NodeIncarnation {
 }
 
 impl Store {
+    /// A neighbour says that this node has stopped in order. So it is not dead, though this monitor got no goodbye.
+    fn stopped(&mut self, cell: &Name, node: NodeId) {
+        let of_node = |l: &&mut NodeIncarnation| l.names.cell == *cell && l.node_id == node;
+        if let Some(last) = self.incarnations.iter_mut().filter(of_node).max_by_key(|l| l.id)
+            && let Condition::Dead { since, .. } = last.condition
+        {
+            last.condition = Condition::Stopped { since };
+        }
+    }
+
+    /// Whether a neighbour that is seen says that this node has stopped in order.
+    #[must_use]
+    pub fn is_said_to_have_stopped(&self, cell: &Name, node: NodeId) -> bool {
+        let links = self.incarnations_of(cell).filter_map(|incarnation| incarnation.links.as_ref());
+        links.flat_map(|told| &told.what.links).any(|link| link.peer == node && link.has_stopped)
+    }
+
     /// Stores a node's report on its links. The journal notes each link that began to count as faulty.
     pub(super) fn links(&mut self, at: Moment, index: usize, what: LinkReports) {
         let incarnation = self.incarnations[index].clone();
@@ -56,6 +74,9 @@ impl Store {
                 self.notice(at, &incarnation, Severity::Warn, "link faulty", String::new(), detail);
             }
         }
+        let cell = incarnation.names.cell.clone();
+        let stopped = what.links.iter().filter(|link| link.has_stopped);
+        stopped.for_each(|link| self.stopped(&cell, link.peer));
         self.incarnations[index].links = Some(Received { at, what });
     }
 }

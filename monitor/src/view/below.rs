@@ -5,9 +5,9 @@ use crate::app::{App, Screen};
 use crate::clock::{Moment, Span};
 use crate::drawn::Hit;
 use crate::name::Name;
-use crate::store::Measured;
 use crate::store::conformance::{Verdict, conformance};
 use crate::store::cuts::cuts;
+use crate::store::{Measured, Presence};
 use crate::theme::Ink;
 use imrs_protocol::NodeId;
 use imrs_wire::obs::Margin;
@@ -43,6 +43,10 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink)> {
     let store = app.store();
     let Some(names) = store.names(cell) else { return Vec::new() };
     let gone = |node| store.latest(cell, node).is_some_and(|incarnation| incarnation.presence(now).is_gone());
+    let stopped = |node| match store.latest(cell, node) {
+        Some(incarnation) => matches!(incarnation.presence(now), Presence::Stopped(_)),
+        None => store.is_said_to_have_stopped(cell, node),
+    };
     let cuts = cuts(store, cell, now);
     let is_cut = |a, b| cuts.iter().any(|cut| [(a, b), (b, a)].contains(&(cut.from.node_id, cut.to.node_id)));
     let is_faulty =
@@ -53,6 +57,7 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink)> {
         let name = format!(" {}-{} ", names.node(link.a), names.node(link.b));
         let heard = [(link.a, link.b), (link.b, link.a)].map(|(at, peer)| heard(app, cell, at, peer, now));
         match heard.into_iter().flatten().min() {
+            _ if stopped(link.a) || stopped(link.b) => pieces.push((format!("{name}STOPPED"), Ink::Dim)),
             _ if gone(link.a) || gone(link.b) => pieces.push((format!("{name}DOWN"), Ink::Warn)),
             _ if is_cut(link.a, link.b) => pieces.push((format!("{name}CUT"), Ink::Bad)),
             _ if is_faulty(link.a, link.b) => pieces.push((format!("{name}FAULTY"), Ink::Bad)),

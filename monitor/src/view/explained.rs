@@ -53,6 +53,7 @@ const OVERVIEW: &[(&str, &str)] = &[
     ("links", "ok: a packet arrived in the last second; quiet: none for so long"),
     ("ok 1ms/5ms", "99 of 100 datagrams took at most this lately / the declared bound"),
     ("DOWN CUT", "of a link: a node at its end is gone; what is sent does not arrive"),
+    ("STOPPED", "of a link: a node at its end has stopped in order, or a neighbour says so"),
     ("FAULTY", "of a link: datagrams come damaged, and others are missing"),
     ("model", "the validator's verdict on the recorded inputs"),
     ("UNKNOWN", "no such verdict: nothing is recorded, or a part of it is missing"),

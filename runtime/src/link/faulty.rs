@@ -172,6 +172,18 @@ impl<L: Link> Link for FaultyLink<L> {
         self.inner.evidence()
     }
 
+    /// While a neighbour is cut off, none hears the goodbye.
+    fn goodbye(&self) {
+        let now = Instant::now();
+        let is_cut = {
+            let faults = self.faults();
+            !faults.cut.is_empty() || faults.cuts_to_come.iter().any(|(_, span)| span.contains(&now))
+        };
+        if !is_cut {
+            self.inner.goodbye();
+        }
+    }
+
     fn health(&self) -> Vec<LinkReport> {
         self.inner.health()
     }

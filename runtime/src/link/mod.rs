@@ -29,6 +29,10 @@ pub trait Sink: Send + Sync {
     /// of the neighbour may have taken requests, according to the neighbour itself or to this node's memory.
     fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool);
 
+    /// Reports that a neighbour has stopped in order: none of its tasks runs any more. A link that cannot know this never
+    /// calls it.
+    fn stopped(&self, _node: NodeId) {}
+
     /// Reports that the link dropped a datagram or packet that arrived. Drops are counted by reason.
     fn discarded(&self, reason: LinkDiscard);
 }
@@ -124,6 +128,10 @@ pub trait Link: Send + Sync {
     fn evidence(&self) -> Vec<(&'static str, u64)> {
         Vec::new()
     }
+
+    /// Tells the neighbours that this node has stopped in order. Called when nothing of the node runs any more. By default it does
+    /// nothing.
+    fn goodbye(&self) {}
 
     /// How long datagrams from each neighbour took, and how many were damaged, as far as the link measures that.
     fn health(&self) -> Vec<LinkReport> {

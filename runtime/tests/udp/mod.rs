@@ -2,6 +2,7 @@
 
 mod faults;
 mod flood;
+mod goodbye;
 mod health;
 mod hostile;
 mod keys;

@@ -27,6 +27,8 @@ pub struct LinkReport {
     pub unmeasured: u64,
     /// What the link damaged.
     pub integrity: Integrity,
+    /// Whether the neighbour has said that it stopped in order, and nothing came from it since.
+    pub has_stopped: bool,
 }
 
 /// How long datagrams took from the sender's reading of its clock until the receiver had them, its wait in the receiver's

@@ -66,27 +66,33 @@ impl LinkDelay {
     /// values, because a sender may write anything into its clocks.
     pub(super) fn arrived(&mut self, tx: u64, echo: Option<u64>, recv: u64) -> Hop {
         let apart = recv.wrapping_sub(tx).cast_signed();
+        let mut proven = self.proven.map(|p| p.value.saturating_sub(p.drift(recv)));
         // A datagram cannot arrive before it was sent: a bound that implies this came from a wrong clock.
-        if self.proven.is_some_and(|p| p.value.saturating_sub(p.drift(recv)) > apart.saturating_add(ROUNDING))
-        {
-            self.proven = None;
+        if proven.is_some_and(|least| least > apart.saturating_add(ROUNDING)) {
+            proven = None;
         }
         // An echo from the future of this node's clock does not count.
         if let Some(echo) = echo.filter(|&echo| echo <= recv) {
             let value = echo.wrapping_sub(tx).cast_signed();
-            if self.proven.is_none_or(|p| value >= p.value.saturating_sub(p.drift(recv))) {
+            if proven.is_none_or(|least| value >= least) {
                 self.proven = Some(Sample { value, at: recv });
+                proven = Some(value);
             }
         }
-        if self.fastest.is_none_or(|f| apart <= f.value.saturating_add(f.drift(recv))) {
+        if proven.is_none() {
+            self.proven = None;
+        }
+        // No datagram arrives before it was sent, so the fastest one bounds the offset from above.
+        let fastest = self.fastest.map(|f| f.value.saturating_add(f.drift(recv)));
+        let most_offset = fastest.filter(|&fastest| fastest < apart).unwrap_or(apart);
+        if most_offset == apart {
             self.fastest = Some(Sample { value: apart, at: recv });
         }
-        let proven = self.proven.map(|p| p.value.saturating_sub(p.drift(recv)));
-        let assumed =
-            self.fastest.map(|f| f.value.saturating_sub(f.drift(recv)).saturating_sub(self.declared));
-        let least_offset = proven.or(assumed).unwrap_or(apart);
-        // No datagram arrives before it was sent, so the fastest one bounds the offset from above.
-        let most_offset = self.fastest.map_or(apart, |f| f.value.saturating_add(f.drift(recv)));
+        let assumed = || {
+            let fastest = self.fastest.map(|f| f.value.saturating_sub(f.drift(recv)));
+            fastest.map(|fastest| fastest.saturating_sub(self.declared))
+        };
+        let least_offset = proven.or_else(assumed).unwrap_or(apart);
         let ticks = |time: i64| Ticks(u64::try_from(time).unwrap_or(0));
         Hop {
             longest: ticks(apart.saturating_sub(least_offset).saturating_add(ROUNDING)),

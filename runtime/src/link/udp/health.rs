@@ -97,6 +97,7 @@ impl Health {
             recent_us: now.saturating_sub(marks.older.at),
             unmeasured: self.unmeasured.load(Ordering::Relaxed),
             integrity: lock(&self.integrity).report(now, progress),
+            has_stopped: false,
         }
     }
 }

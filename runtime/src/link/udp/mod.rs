@@ -15,6 +15,7 @@
 //! attackers: a process that reaches the socket can forge datagrams. Keys ([`UdpLink::with_keys`]) protect from both (D191).
 
 mod delay;
+mod goodbye;
 mod greet;
 mod health;
 mod inbound;
@@ -403,9 +404,13 @@ impl Link for UdpLink {
         evidence.map(|&count| (count.name(), self.statistics.get(count))).collect()
     }
 
+    fn goodbye(&self) {
+        self.say_goodbye();
+    }
+
     fn health(&self) -> Vec<LinkReport> {
         let now = self.micros(Instant::now());
-        self.peers.iter().map(|peer| peer.health.report(peer.node, now, peer.progress())).collect()
+        self.peers.iter().map(|peer| peer.report(now)).collect()
     }
 
     fn leading(&self) -> Option<&dyn Leading> {

@@ -39,6 +39,19 @@ impl Known {
         Progress { session: Some(self.session), next: self.window.next(), accepted: self.accepted }
     }
 
+    /// Notes the goodbye with this counter.
+    ///
+    /// # Errors
+    /// Something newer of the session came before.
+    pub(super) fn ends(&mut self, counter: u64) -> Result<(), LinkDiscard> {
+        if !self.window.is_newest(counter) {
+            return Err(LinkDiscard::Replayed);
+        }
+        self.window.accept(counter);
+        self.accepted += 1;
+        Ok(())
+    }
+
     /// Notes a greeting that keys have closed, so that it has a counter of its own.
     pub(super) const fn has_greeted(&mut self) {
         self.accepted += 1;
