@@ -40,8 +40,8 @@ Examples:
 
 Exit codes: 0 all well, 1 a finding, 2 bad input or usage, 3 nothing to attach to,
 4 out of the given budget with a partial answer, 5 evidence is missing: nothing found, not
-everything judged, 70 an internal fault, 71 the system has no memory, file descriptor or
-thread left."
+everything judged, 6 nothing found, but links were faulty or datagrams of others came,
+70 an internal fault, 71 the system has no memory, file descriptor or thread left."
 )]
 pub struct Cli {
     /// When to use colour; NO_COLOR is honoured.

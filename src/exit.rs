@@ -22,6 +22,8 @@ pub enum Exit {
     Budget = 4,
     /// Nothing was found, but evidence is missing, so not everything could be judged.
     Incomplete = 5,
+    /// There is no finding, but links were faulty, or too many datagrams came that no node of the cell sent.
+    Suspect = 6,
     /// A fault of this program.
     Internal = 70,
     /// The operating system has no memory, file descriptor or thread left for this program.
@@ -39,6 +41,7 @@ impl From<Verdict> for Exit {
         match verdict {
             Verdict::Well => Self::Well,
             Verdict::Finding => Self::Finding,
+            Verdict::Suspect => Self::Suspect,
             Verdict::Incomplete => Self::Incomplete,
             Verdict::Fault => Self::Internal,
         }

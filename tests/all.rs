@@ -20,6 +20,7 @@ mod front_door;
 mod guide;
 mod hostile;
 mod kept_out;
+mod link_health;
 mod monitor;
 mod observe;
 mod path_of_the_model;

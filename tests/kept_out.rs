@@ -26,7 +26,7 @@ const KIND_AT: usize = 15;
 const TRANSPORT: u8 = 0;
 
 /// Stands between two nodes: each sends to it as if it were the other one.
-struct Between {
+pub struct Between {
     own: Ipv4Addr,
     nodes: [u16; 2],
     sockets: Arc<[UdpSocket; 2]>,
@@ -37,7 +37,7 @@ struct Between {
 
 impl Between {
     /// Passes on what `change` makes of each datagram.
-    fn new(own: Ipv4Addr, nodes: [u16; 2], change: fn(&mut [u8])) -> Self {
+    pub fn new(own: Ipv4Addr, nodes: [u16; 2], change: fn(&mut [u8])) -> Self {
         let sockets = Arc::new([0, 1].map(|_| UdpSocket::bind((own, 0)).expect("a port")));
         let passed: Arc<[Mutex<Vec<Vec<u8>>>; 2]> = Arc::default();
         let is_over = Arc::new(AtomicBool::new(false));
@@ -59,7 +59,7 @@ impl Between {
     }
 
     /// The ports at which each node finds the other.
-    fn ports(&self) -> [u16; 2] {
+    pub fn ports(&self) -> [u16; 2] {
         self.sockets.each_ref().map(|socket| socket.local_addr().expect("its address").port())
     }
 

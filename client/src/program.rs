@@ -260,7 +260,9 @@ impl Program {
             let left = next.map_or(LOOK_EVERY, |next| next.saturating_duration_since(Instant::now()));
             std::thread::sleep(left.min(LOOK_EVERY));
         }
-        Ok(running.into_iter().flat_map(|node| node.runtime.stop(PATIENCE)).collect())
+        // The nodes of one program stop together; a node that runs on its own tells the others.
+        let stop = if self.node.is_some() { Runtime::leave } else { Runtime::stop };
+        Ok(running.into_iter().flat_map(|node| stop(node.runtime, PATIENCE)).collect())
     }
 
     /// The nodes that run in this process.

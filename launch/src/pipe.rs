@@ -2,11 +2,12 @@
 
 use crate::cells::Source;
 use crate::checks::Change;
+use crate::folds::links;
 use crate::script_event::Did;
 use imrs_client::keys::KeyText;
 use imrs_protocol::{PortCounters, PortId, Round, TaskId};
 use imrs_runtime::script::Ramp;
-use imrs_wire::obs::Token;
+use imrs_wire::obs::{LinkReport, Token};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io::{self, BufRead, Write};
@@ -184,6 +185,8 @@ pub struct Figures {
     pub lost_on_purpose: u64,
     /// How many packets the node's link dropped because of a cut.
     pub cut_off: u64,
+    /// How long datagrams took on the node's links, and how many were damaged.
+    pub links: Vec<LinkReport>,
     /// The neighbours that it refuses, because their cells, keys or versions differ.
     pub refusals: Vec<RefusalFigures>,
     /// How many events were not reported: they came too fast, or the launcher did not read its pipe fast enough.
@@ -279,6 +282,7 @@ impl Figures {
         self.cut_off += other.cut_off;
         self.untold += other.untold;
         self.unrecorded.extend_from_slice(&other.unrecorded);
+        links::join(&mut self.links, &other.links);
         self.refusals.clone_from(&other.refusals);
     }
 }

@@ -129,7 +129,7 @@ impl Unanswered {
             Self::Refused => "was refused for space",
             Self::NeverLeft => "TIME_OUT: it never left",
             Self::Unknown => "TIME_OUT: it may have run",
-            Self::PeerRestarted => "had no answer: the peer restarted, and it may have run",
+            Self::PeerRestarted => "had no answer: the peer stopped or restarted, and it may have run",
         }
     }
 }

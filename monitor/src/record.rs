@@ -69,6 +69,7 @@ impl Running {
             | ServerFrame::Bye(_)
             | ServerFrame::Detail(_)
             | ServerFrame::Vitals(_)
+            | ServerFrame::Links(_)
             | ServerFrame::HeldBack(_) => true,
         }
     }

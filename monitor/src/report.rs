@@ -1,8 +1,12 @@
 //! Prints the state of a cell as JSON or text, for pipes, tests and screen readers.
 
+mod assertions;
+mod links;
+
+pub use assertions::{json_of_assertions, text_of_assertions};
+
 use crate::clock::{Moment, Span};
 use crate::name::{Name, shown_line};
-use crate::query::{Assertion, Held};
 use crate::replay::tell::Position;
 use crate::replay::{Player, tell};
 use crate::store::conformance::{Verdict, conformance};
@@ -50,6 +54,8 @@ struct Node<'a> {
     transit: Transit,
     discards: Vec<Reason<'a>>,
     link_discards: Vec<Reason<'a>>,
+    /// The links from its neighbours, as the node measures them.
+    links: Vec<links::Link<'a>>,
     lost_events: u64,
     /// The validator's verdict on the inputs that the node records: `conforms`, `violates` or `unknown`.
     conformance: &'static str,
@@ -216,6 +222,7 @@ fn node<'a>(store: &Store, incarnation: &'a NodeIncarnation, now: Moment) -> Nod
         transit,
         discards: snapshot.map_or(&[][..], |s| &s.discards).iter().map(reason).collect(),
         link_discards: snapshot.map_or(&[][..], |s| &s.link_discards).iter().map(reason).collect(),
+        links: links::links(incarnation, now),
         lost_events: incarnation.lost,
         conformance: match judged.verdict {
             Verdict::Unknown { .. } => "unknown",
@@ -256,6 +263,7 @@ fn not_seen<'a>(cell: &'a Name, name: &'a Name, killed: bool) -> Node<'a> {
         transit: Transit::default(),
         discards: Vec::new(),
         link_discards: Vec::new(),
+        links: Vec::new(),
         lost_events: 0,
         conformance: "unknown",
         conforming_steps: 0,
@@ -357,56 +365,9 @@ fn found(store: &Store, cell: &Name, finding: &Finding) -> Found {
     }
 }
 
-#[derive(Serialize)]
-struct Asserted<'a> {
-    version: u32,
-    holds: bool,
-    assertions: Vec<One<'a>>,
-}
-
-#[derive(Serialize)]
-struct One<'a> {
-    assertion: &'a str,
-    holds: bool,
-    values: &'a [String],
-}
-
 /// One node at a moment, in the format of [`json`].
 pub(crate) fn node_value(store: &Store, incarnation: &NodeIncarnation, now: Moment) -> serde_json::Value {
     serde_json::to_value(node(store, incarnation, now)).unwrap_or_default()
-}
-
-/// The results of assertions, as one line of JSON without the newline.
-///
-/// # Panics
-/// Never, as [`json`].
-#[must_use]
-pub fn json_of_assertions(assertions: &[Assertion], held: &[Held]) -> String {
-    let all = assertions.iter().zip(held);
-    let report = Asserted {
-        version: VERSION,
-        holds: held.iter().all(|held| held.holds),
-        assertions: all
-            .map(|(assertion, held)| One {
-                assertion: assertion.text(),
-                holds: held.holds,
-                values: &held.values,
-            })
-            .collect(),
-    };
-    text::json(&serde_json::to_string(&report).expect("strings and numbers")).into_owned()
-}
-
-/// The results of assertions, one line each.
-#[must_use]
-pub fn text_of_assertions(assertions: &[Assertion], held: &[Held]) -> String {
-    let mut out = String::new();
-    for (assertion, held) in assertions.iter().zip(held) {
-        let word = if held.holds { "holds" } else { "FALSE" };
-        let values = held.values.join(", ");
-        let _ = writeln!(out, "{word}: {}  ({})", shown_line(assertion.text()), shown_line(&values));
-    }
-    out
 }
 
 /// The selected cells as text, one fact per line.

@@ -13,6 +13,7 @@ mod history;
 mod hostile;
 mod large;
 mod layout;
+mod link_health;
 mod live;
 mod missing;
 mod overview;

@@ -162,7 +162,7 @@ fn a_dead_node_is_shown_dead_and_comes_back_after_a_restart() {
 #[test]
 fn another_version_is_refused_with_both_named() {
     let trouble = trouble_with(|mut peer| drop(peer.hello(0, Version { major: 2, minor: 3 }, SCHEMA)));
-    assert!(trouble.contains("it speaks imrs-obs 2.3, this monitor 1.3"), "{trouble}");
+    assert!(trouble.contains("it speaks imrs-obs 2.3, this monitor 1.4"), "{trouble}");
     let trouble = trouble_with(|mut peer| drop(peer.hello(0, VERSION, SCHEMA ^ 1)));
     assert!(trouble.contains("other frame types"), "{trouble}");
     let trouble = trouble_with(|mut peer| {

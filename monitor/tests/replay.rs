@@ -283,7 +283,7 @@ fn damage_and_other_versions_are_named() {
     assert_eq!(refusal(&newer), why);
     let other = attached(0, Version { major: 2, minor: 0 });
     let why = refusal(&written(&[(0, 0, other)]));
-    assert!(why.contains("the node speaks imrs-obs 2.0, this program 1.3"), "{why}");
+    assert!(why.contains("the node speaks imrs-obs 2.0, this program 1.4"), "{why}");
     assert_eq!(refusal(&written(&[])), "nothing was recorded in it");
     let missing = imrs_monitor::run(&Options { replay: Some("no/such.imrs".into()), ..Options::default() });
     let missing = missing.unwrap_err();

@@ -303,7 +303,7 @@ pub enum Outcome {
     TimedOutUnsent,
     /// The time_out ended without an answer; the command may have run.
     TimedOutUnknown,
-    /// The destination's node restarted meanwhile; the command may have run.
+    /// The destination's node stopped or restarted meanwhile; the command may have run.
     PeerRestarted,
 }
 

@@ -168,6 +168,16 @@ fn a_confirm_for_an_earlier_incarnation_releases_nobody() {
 }
 
 #[test]
+fn the_arrival_of_a_task_whose_node_stopped_in_order_still_counts() {
+    let table = table();
+    let mut x = Solo::new(&table, X);
+    let mut y = Solo::new(&table, Y);
+    x.hear(y.ask(arrive(LIFT)).packets[0]);
+    x.input(Input::PeerStopped(B));
+    assert!(!x.ask(arrive(LIFT)).signals.is_empty(), "all have arrived");
+}
+
+#[test]
 fn the_arrival_of_an_earlier_incarnation_is_void_once_the_new_one_is_heard_of() {
     let table = table();
     let mut x = Solo::new(&table, X);

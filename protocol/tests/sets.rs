@@ -120,7 +120,7 @@ fn one_of_several_is_no_set() {
     let answer = Packet { kind: Kind::Response, source: B, destination: P, contents: contents(4), ..query };
     assert_eq!(p.hear(answer).words(), ["reply [4]"]);
     let command = p.ask(send_all(MOVE, 1)).packets[0];
-    assert_eq!(p.input(Input::PeerRestarted(NodeId(1))).words(), ["PeerRestarted"]);
+    assert_eq!(p.input(Input::PeerStopped(NodeId(1))).words(), ["PeerRestarted"]);
     assert_eq!(command.destination, A);
     assert_eq!(p.ask(some(0)).words(), ["fault NotAPeer"]);
     assert_eq!(p.ask(some(1)).words(), ["fault NotAPeer"]);

@@ -49,6 +49,7 @@ mod explored;
 #[cfg(test)]
 mod explorer;
 pub mod guard;
+mod histogram;
 pub mod link;
 mod lock;
 mod node;

@@ -228,6 +228,7 @@ fn input() -> impl Strategy<Value = Input> {
         any::<(u8, u8)>().prop_map(|(id, turn)| Input::TimeOut { id: TimeId(id), turn }),
         id().prop_map(Input::Unsent),
         any::<u16>().prop_map(|node| Input::PeerRestarted(NodeId(node))),
+        any::<u16>().prop_map(|node| Input::PeerStopped(NodeId(node))),
     ]
 }
 

@@ -6,7 +6,7 @@ use crate::checks;
 use crate::failure::Failure;
 use crate::faults::Restart;
 use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped, span};
-use imrs_launch::{Keys, NodeSummary, RendezvousSummary, Run, StartedNode, Summary};
+use imrs_launch::{Keys, LinkSummary, NodeSummary, RendezvousSummary, Run, StartedNode, Summary};
 use imrs_protocol::{CellTable, Usage};
 use std::collections::BTreeMap;
 
@@ -119,6 +119,7 @@ pub fn summary(
     }
     for node in &summary.nodes {
         out.line(node_line(node, relays(table, &node.name)))?;
+        links(node, out)?;
         for refusal in &node.refusals {
             out.line(format!("    {}", Styled(BAD, refusal.words(&node.name))))?;
         }
@@ -261,6 +262,24 @@ fn node_line(node: &NodeSummary, relays: bool) -> String {
         }
     }
     format!("  node {:<4} {}", node.name, parts.join("; "))
+}
+
+/// Prints how long datagrams took on the links to a node, against the declared bounds, and what is wrong with the links.
+fn links(node: &NodeSummary, out: &mut Output) -> Result<(), Failure> {
+    let measured = node.links.iter().filter(|link| link.delay.count > 0);
+    let one =
+        |link: &LinkSummary| format!("{} {} of {}", link.from, span(link.delay.p99_us), span(link.bound_us));
+    let shown: Vec<_> = measured.map(one).collect();
+    if !shown.is_empty() {
+        out.line(format!("    link delays, p99 at most: from {}", shown.join(", from ")))?;
+    }
+    for link in &node.links {
+        let ink = if link.integrity.faults > 0 { BAD } else { NOTE };
+        for words in link.warnings(&node.name) {
+            out.line(format!("    {}", Styled(ink, words)))?;
+        }
+    }
+    node.security.warning(&node.name).map_or(Ok(()), |words| out.line(format!("    {}", Styled(BAD, words))))
 }
 
 fn listed(counts: &BTreeMap<String, u64>) -> String {

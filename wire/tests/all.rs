@@ -5,6 +5,7 @@ mod envelope_keyed;
 mod obs;
 mod obs_bytes;
 mod obs_delta;
+mod obs_later;
 mod obs_place;
 mod obs_token;
 mod recording;

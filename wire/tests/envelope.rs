@@ -203,6 +203,7 @@ proptest! {
             Purpose::Greeting(Greeting { wants_answer: e.restarted, uncounted: false, remembers: Some(e.incarnation) }),
             Purpose::Greeting(Greeting { wants_answer: false, uncounted: e.restarted, remembers: None }),
             Purpose::Refusal(Refused::OtherStatements),
+            Purpose::Goodbye,
         ] {
             let e = Envelope { purpose, ..e };
             let bytes = without_packets(&e, digests);

@@ -1,5 +1,6 @@
 //! Gathers the summary of a run from its facts.
 
+use super::links::{Alarm, LinkSummary, SecuritySummary};
 use super::summary::{AfterKill, NodeSummary, PortSummary, RendezvousSummary, Summary, TaskSummary};
 use super::tally::Tally;
 use crate::checks::Settlement;
@@ -17,6 +18,8 @@ pub struct Gatherer {
     tallies: BTreeMap<PortId, Tally>,
     /// For each node, the counters of its incarnations.
     figures: Vec<Vec<Figures>>,
+    /// For each node, whether too many datagrams came that no node of the cell sent.
+    alarms: Vec<Alarm>,
     /// The nodes that report to this launcher: all nodes, or the only one that it runs.
     here: Vec<NodeId>,
     kills: Vec<(NodeId, u64)>,
@@ -33,7 +36,10 @@ impl Fold for Gatherer {
     fn take(&mut self, at: u64, fact: &Fact) {
         match fact {
             Fact::Said(_, Word::Event(event)) => self.event(event),
-            Fact::Said(node, Word::Figures(figures)) => self.figures(*node, figures),
+            Fact::Said(node, Word::Figures(figures)) => {
+                self.alarms[node.index()].take(at, &figures.link_discards);
+                self.figures(*node, figures);
+            }
             Fact::Said(_, Word::TaskEnded { task, how, .. }) => {
                 let name = self.table.cell().tasks[task.index()].name.clone();
                 self.ended.push(TaskSummary { name, end: how.clone() });
@@ -56,10 +62,12 @@ impl Gatherer {
             |port: &imrs_protocol::Port| Tally::new(port.parties.iter().map(|p| p.task).filter(heard));
         let tallies = waitfors.map(|port| (port.id, tally(port))).collect();
         let figures = table.cell().nodes.iter().map(|_| vec![Figures::default()]).collect();
+        let alarms = vec![Alarm::default(); table.cell().nodes.len()];
         Self {
             table,
             tallies,
             figures,
+            alarms,
             here,
             kills: Vec::new(),
             after_kill: Vec::new(),
@@ -138,6 +146,8 @@ impl Gatherer {
                 discards: figures.discards.clone(),
                 link_discards: figures.link_discards.clone(),
                 link: figures.link.clone(),
+                links: figures.links.iter().map(|link| LinkSummary::new(&self.table, *node, link)).collect(),
+                security: SecuritySummary::new(&figures.link_discards, self.alarms[node.index()].raised),
                 refusals: figures.refusals.clone(),
                 lost_on_purpose: figures.lost_on_purpose,
                 cut_off: figures.cut_off,

@@ -2,6 +2,7 @@
 //! than its result needs.
 
 pub mod gatherer;
+pub mod links;
 pub mod rounds;
 pub mod settled;
 pub mod spread;

@@ -1,5 +1,6 @@
 //! The summary of a run, in the form that `--format json` prints and keeps stable.
 
+use super::links::{LinkSummary, SecuritySummary};
 use super::rounds::Rounds;
 use crate::checks::Settlement;
 use crate::pipe::{Outcomes, RefusalFigures};
@@ -121,12 +122,24 @@ pub struct NodeSummary {
     pub link_discards: BTreeMap<String, u64>,
     /// Other counters of the node's link.
     pub link: BTreeMap<String, u64>,
+    /// The links from the node's neighbours, as this node measured them; empty if nodes are joined without sockets.
+    pub links: Vec<LinkSummary>,
+    /// The datagrams that the node dropped, and that no node of the cell sent in this form.
+    pub security: SecuritySummary,
     /// The neighbours that the node refused at the end of the run, because their cells differ.
     pub refusals: Vec<RefusalFigures>,
     /// How many packets the node's link dropped on purpose, as a random loss.
     pub lost_on_purpose: u64,
     /// How many packets the node's link dropped because of a cut.
     pub cut_off: u64,
+}
+
+impl NodeSummary {
+    /// Whether a link to this node was faulty, or too many datagrams came that no node of the cell sent.
+    #[must_use]
+    pub fn is_suspect(&self) -> bool {
+        self.security.alarms > 0 || self.links.iter().any(|link| link.integrity.faults > 0)
+    }
 }
 
 /// The outcome of a demo.

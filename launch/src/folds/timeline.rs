@@ -1,5 +1,6 @@
 //! The lines of a run for people: in the order of time, and no faster than they can be read.
 
+use super::links::{Alarm, SecuritySummary, fault_words, security_words};
 use crate::cells::Loaded;
 use crate::fact::{Fact, Fold};
 use crate::faults::Fault;
@@ -32,6 +33,12 @@ pub struct Timeline<'a> {
     paces: Vec<(u64, u32)>,
     /// Refusals between neighbours that a line has already reported.
     refused: BTreeSet<String>,
+    /// For each link that was faulty, by receiver and sender, how often a line has reported it.
+    faults: BTreeMap<(NodeId, NodeId), u64>,
+    /// The neighbours that had stopped by the last report of a node, by node.
+    stopped: BTreeSet<(NodeId, NodeId)>,
+    /// For each node, whether too many datagrams came that no node of the cell sent.
+    alarms: Vec<Alarm>,
 }
 
 /// A line that is not shown yet.
@@ -78,7 +85,11 @@ impl Fold for Timeline<'_> {
         match fact {
             Fact::Began => self.began = at,
             Fact::Said(_, Word::Did(did)) => self.add(did.at, Entry::Did(did.clone())),
-            Fact::Said(node, Word::Figures(figures)) => self.refusals(at, *node, figures),
+            Fact::Said(node, Word::Figures(figures)) => {
+                self.refusals(at, *node, figures);
+                self.links(at, *node, figures);
+                self.stops(at, *node, figures);
+            }
             Fact::Said(node, Word::HeldBack(held)) => self.held_back(at, *node, held),
             Fact::Fault(fault) => self.add(at, Entry::Fault(self.fault(*fault))),
             Fact::Broken(broken) => self.add(broken.at, Entry::Broken(broken.words(self.loaded))),
@@ -102,6 +113,9 @@ impl<'a> Timeline<'a> {
             told: 0,
             paces: vec![(0, 0); loaded.table.cell().tasks.len()],
             refused: BTreeSet::new(),
+            faults: BTreeMap::new(),
+            stopped: BTreeSet::new(),
+            alarms: vec![Alarm::default(); loaded.table.cell().nodes.len()],
         }
     }
 
@@ -182,6 +196,38 @@ impl<'a> Timeline<'a> {
             if self.refused.insert(words.clone()) {
                 self.add(at, Entry::Broken(words));
             }
+        }
+    }
+
+    /// Adds a line when a neighbour has said that it stopped.
+    fn stops(&mut self, at: u64, node: NodeId, figures: &Figures) {
+        for report in &figures.links {
+            let ends = (node, report.peer);
+            if !report.has_stopped {
+                self.stopped.remove(&ends);
+            } else if self.stopped.insert(ends) {
+                let words = format!(
+                    "node {} has stopped in order, it says to {}",
+                    self.name(report.peer),
+                    self.name(node)
+                );
+                self.add(at, Entry::Fault(words));
+            }
+        }
+    }
+
+    /// Adds a line each time that a link begins to count as faulty, and for each alarm about datagrams of others.
+    fn links(&mut self, at: u64, node: NodeId, figures: &Figures) {
+        for report in figures.links.iter().filter(|report| report.integrity.faults > 0) {
+            let told = self.faults.insert((node, report.peer), report.integrity.faults);
+            if told != Some(report.integrity.faults) {
+                let words = fault_words(self.name(report.peer), self.name(node), &report.integrity);
+                self.add(at, Entry::Broken(words));
+            }
+        }
+        if self.alarms[node.index()].take(at, &figures.link_discards) {
+            let words = security_words(self.name(node), &SecuritySummary::new(&figures.link_discards, 1));
+            self.add(at, Entry::Broken(words));
         }
     }
 

@@ -7,7 +7,7 @@ use crate::clock::now_us;
 use crate::fact::Fact;
 use crate::faults::Fault;
 use crate::folds::story::{Events, Story};
-use crate::folds::summary::{Outcome, Summary};
+use crate::folds::summary::{NodeSummary, Outcome, Summary};
 use crate::folds::trouble::Trouble;
 use crate::pipe::Order;
 use imrs_protocol::NodeId;
@@ -34,6 +34,8 @@ pub enum Verdict {
     Well,
     /// A promise was broken, or something other than the launcher killed a node.
     Finding,
+    /// There was no finding, but a link was faulty, or too many datagrams came that no node of the cell sent.
+    Suspect,
     /// There was no finding, but some evidence is missing.
     Incomplete,
     /// This program is at fault.
@@ -59,6 +61,8 @@ impl Ended<'_> {
             Verdict::Fault
         } else if false_release || broken || !self.trouble.is_empty() {
             Verdict::Finding
+        } else if summary.nodes.iter().any(NodeSummary::is_suspect) {
+            Verdict::Suspect
         } else if summary.incomplete.is_empty() {
             Verdict::Well
         } else {

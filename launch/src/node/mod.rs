@@ -52,6 +52,8 @@ type Words = Box<dyn Write + Send>;
 struct Process {
     table: NodeTable,
     link: Arc<FaultyWay>,
+    /// Whether this launcher runs no other node of the cell.
+    is_alone: bool,
     /// The lock on the node's stored incarnation, if the node runs on its own.
     _state: Option<incarnation::State>,
     /// How many more times the node greets silent neighbours.
@@ -185,6 +187,7 @@ impl Process {
         Ok(Self {
             table,
             link,
+            is_alone: setup.counts,
             _state: state,
             greetings: 0,
             runtime: Some(runtime),
@@ -296,10 +299,11 @@ impl Process {
         drop(self.runtime.take().map(|runtime| runtime.stop(PATIENCE)));
     }
 
-    /// Stops the tasks, reports all remaining events, and ends the recording.
+    /// Stops the tasks, tells the neighbours if they go on, reports all remaining events, and ends the recording.
     fn end(mut self) -> Result<(), NodeError> {
         // The events have already reported how the scripts ended, so the returned values are not needed.
-        drop(self.runtime.take().map(|runtime| runtime.stop(PATIENCE)));
+        let stop = if self.is_alone { Runtime::leave } else { Runtime::stop };
+        drop(self.runtime.take().map(|runtime| stop(runtime, PATIENCE)));
         self.tell()?;
         self.count()?;
         // The recording stops only now, after the counters were sent, because the counters must reach the launcher even

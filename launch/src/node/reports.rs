@@ -87,6 +87,7 @@ impl Process {
             forwarded: snapshot.transit.forwarded,
             lost_on_purpose: injected.lost_packets,
             cut_off: injected.cut_packets,
+            links: self.node.link_reports().links,
             refusals: self.refusals(),
             untold: self.untold + self.narrator.lost(),
             unrecorded: unrecorded.into_iter().collect(),

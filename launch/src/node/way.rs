@@ -9,6 +9,7 @@ use imrs_protocol::{Incarnation, NodeId, NodeTable, Packet};
 use imrs_runtime::link::in_process::InProcess;
 use imrs_runtime::link::udp::{UdpLink, UdpOptions};
 use imrs_runtime::link::{Leading, Link, LinkBusy, PollEnd, Sink};
+use imrs_wire::obs::LinkReport;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::time::Instant;
 
@@ -64,6 +65,14 @@ impl Link for Way {
 
     fn evidence(&self) -> Vec<(&'static str, u64)> {
         self.link().evidence()
+    }
+
+    fn goodbye(&self) {
+        self.link().goodbye();
+    }
+
+    fn health(&self) -> Vec<LinkReport> {
+        self.link().health()
     }
 
     fn leading(&self) -> Option<&dyn Leading> {

@@ -303,6 +303,7 @@ pub(crate) fn is_odd(shown: &Shown) -> bool {
             | ServerFrame::Delta(_)
             | ServerFrame::Detail(_)
             | ServerFrame::Vitals(_)
+            | ServerFrame::Links(_)
             | ServerFrame::Pong(_)
             | ServerFrame::Places(_)
             | ServerFrame::Denied(_)

@@ -9,7 +9,7 @@ use crate::clock::{Moment, micros};
 use crate::name::Name;
 use imrs_protocol::{NodeId, PortCounters, PortId, PortView, QueueView, TaskId, Ticks, TimeId};
 use imrs_wire::obs::{
-    Count, Delta, Detail, HeldBack, Lateness, Liveness, Pong, Snapshot, TaskSnapshot, Vitals,
+    Count, Delta, Detail, HeldBack, Lateness, LinkReports, Liveness, Pong, Snapshot, TaskSnapshot, Vitals,
 };
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -21,10 +21,8 @@ pub const SILENT: Duration = Duration::from_secs(1);
 const FRESH: Duration = Duration::from_millis(200);
 /// The shortest interval over which rates are computed.
 pub(super) const RATE: Duration = Duration::from_secs(2);
-
 /// The interval over which the monitor judges whether timers are usually late.
 const LATELY: Duration = Duration::from_secs(3);
-
 /// How many timers of a node are kept, at most.
 const TIMERS: usize = 1024;
 
@@ -156,6 +154,8 @@ pub struct NodeIncarnation {
     pub(super) longest: BTreeMap<(TaskId, TimeId), Ticks>,
     /// The metrics of the node's process; `None` until the node reports any.
     pub vitals: Option<Received<Vitals>>,
+    /// The node's last report on its links.
+    pub(super) links: Option<Received<LinkReports>>,
     /// The node's last report of held-back scripts.
     pub(super) held_back: Option<Received<HeldBack>>,
     /// The node's reports of ended and late timers within the last seconds.

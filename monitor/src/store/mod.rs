@@ -1,6 +1,7 @@
 //! The store: the state and the events of every observed node. It reads no clock and does no I/O.
 
 pub mod blocked;
+mod compare;
 pub mod conformance;
 pub mod coverage;
 pub mod cuts;
@@ -9,6 +10,7 @@ pub mod health;
 mod incarnation;
 pub mod journal;
 mod left;
+mod link_health;
 pub mod meeting;
 pub mod message;
 mod names;
@@ -27,6 +29,7 @@ pub use incarnation::{
     ClockOffset, Condition, IncarnationId, NodeIncarnation, Received, SILENT, Sample, Watched,
 };
 pub use left::Left;
+pub use link_health::Measured;
 pub use names::{Names, PortInfo, TaskInfo};
 pub use presence::Presence;
 pub use unseen::{Unseen, is_killed, unseen};
@@ -34,9 +37,8 @@ pub use unseen::{Unseen, is_killed, unseen};
 use crate::clock::Moment;
 use crate::name::Name;
 use crate::source::{Arrival, Feed, SourceId};
-use imrs_protocol::{NodeId, TaskId};
-use imrs_wire::obs::{Count, Events, Goodbye, Liveness, NodeIdentity, ServerFrame, Table};
-use incarnation::Notable;
+use imrs_protocol::NodeId;
+use imrs_wire::obs::{Events, Goodbye, NodeIdentity, ServerFrame, Table};
 use journal::{Entry, Journal, Severity, What};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -228,6 +230,7 @@ impl Store {
             lost_before: (0, 0),
             longest: BTreeMap::new(),
             vitals: None,
+            links: None,
             held_back: None,
             timers: VecDeque::new(),
             watched: Vec::new(),
@@ -236,10 +239,9 @@ impl Store {
             recent: recent::Recent::default(),
             buried: 0,
         };
-        let again = self
-            .incarnations
-            .iter()
-            .any(|l| l.names.cell == incarnation.names.cell && l.node == incarnation.node);
+        let is_it =
+            |l: &NodeIncarnation| (&l.names.cell, &l.node) == (&incarnation.names.cell, &incarnation.node);
+        let again = self.incarnations.iter().any(is_it);
         // A node of the checker's counterexample has no process.
         let process = if pid == 0 { String::new() } else { format!("pid {pid}, ") };
         let detail = format!("incarnation {}, {process}{}", incarnation.number, incarnation.build);
@@ -269,6 +271,7 @@ impl Store {
             ServerFrame::Delta(delta) => self.state(at, index, |incarnation| incarnation.change(at, &delta)),
             ServerFrame::Detail(detail) => self.incarnations[index].look_at(at, detail),
             ServerFrame::Vitals(vitals) => self.incarnations[index].feel(at, vitals),
+            ServerFrame::Links(links) => self.links(at, index, links),
             ServerFrame::HeldBack(what) => self.incarnations[index].held_back = Some(Received { at, what }),
             ServerFrame::Pong(pong) => self.incarnations[index].compare_clocks(at, pong),
             // The source has already handled these frames.
@@ -289,8 +292,7 @@ impl Store {
     }
 
     fn index_of(&self, source: SourceId) -> Option<usize> {
-        let id = self.of_source.get(&source)?;
-        self.incarnations.iter().position(|l| l.id == *id)
+        self.of_source.get(&source).and_then(|id| self.incarnations.iter().position(|l| l.id == *id))
     }
 
     /// Stores the names of a cell. The cell's name comes from the node's hello, not from its table.
@@ -316,43 +318,6 @@ impl Store {
             self.compare(at, index, before);
         } else {
             self.gaps += 1;
-        }
-    }
-
-    /// Adds journal entries for changes that no state machine observes: ended tasks and drops on links.
-    fn compare(&mut self, at: Moment, index: usize, before: Option<Notable>) {
-        let (Some(before), Some(after)) = (before, self.incarnations[index].last.clone()) else { return };
-        let after = &after.snapshot;
-        let mut found = Vec::new();
-        let was = |id: TaskId| before.tasks.iter().find(|(task, _)| *task == id).map(|(_, was)| *was);
-        for task in &after.tasks {
-            // Tasks that still run have nothing to report here.
-            if task.liveness == Liveness::Alive {
-                continue;
-            }
-            let name = self.incarnations[index].names.task(task.view.task).to_string();
-            match (was(task.view.task), task.liveness) {
-                (Some(Liveness::Alive), Liveness::Crashed) => {
-                    found.push((Severity::Bad, "crashed", name, "the task panicked".to_owned(), 1));
-                }
-                (Some(Liveness::Alive), Liveness::Ended) => {
-                    found.push((Severity::Note, "ended", name, "the task returned".to_owned(), 1));
-                }
-                _ => {}
-            }
-        }
-        let old = |name: &str| before.link_discards.iter().find(|c| c.name == name).map_or(0, |c| c.count);
-        for Count { name, count } in &after.link_discards {
-            let more = count.saturating_sub(old(name));
-            if more > 0 {
-                let object = "on a link".to_owned();
-                found.push((Severity::Warn, "discard", object, crate::name::shown(name), more));
-            }
-        }
-        let incarnation = &self.incarnations[index];
-        for (level, kind, object, detail, times) in found {
-            let what = What::Noticed { level, kind, object, detail };
-            self.journal.add(Entry::new(at, incarnation, what, times));
         }
     }
 

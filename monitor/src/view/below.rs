@@ -7,8 +7,10 @@ use crate::drawn::Hit;
 use crate::name::Name;
 use crate::store::conformance::{Verdict, conformance};
 use crate::store::cuts::cuts;
+use crate::store::{Measured, Presence};
 use crate::theme::Ink;
 use imrs_protocol::NodeId;
+use imrs_wire::obs::Margin;
 
 /// How many rows at the bottom of the overview this part takes.
 pub(super) const fn rows(height: u16) -> u16 {
@@ -41,17 +43,28 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink)> {
     let store = app.store();
     let Some(names) = store.names(cell) else { return Vec::new() };
     let gone = |node| store.latest(cell, node).is_some_and(|incarnation| incarnation.presence(now).is_gone());
+    let stopped = |node| match store.latest(cell, node) {
+        Some(incarnation) => matches!(incarnation.presence(now), Presence::Stopped(_)),
+        None => store.is_said_to_have_stopped(cell, node),
+    };
     let cuts = cuts(store, cell, now);
     let is_cut = |a, b| cuts.iter().any(|cut| [(a, b), (b, a)].contains(&(cut.from.node_id, cut.to.node_id)));
+    let is_faulty =
+        |a, b| measured(app, cell, [(a, b), (b, a)], now).iter().any(|link| link.report.integrity.is_faulty);
     let mut pieces = vec![(" links".to_owned(), Ink::Dim)];
     let mut unknown = 0;
     for link in names.links.iter().take(SHOWN) {
         let name = format!(" {}-{} ", names.node(link.a), names.node(link.b));
         let heard = [(link.a, link.b), (link.b, link.a)].map(|(at, peer)| heard(app, cell, at, peer, now));
         match heard.into_iter().flatten().min() {
+            _ if stopped(link.a) || stopped(link.b) => pieces.push((format!("{name}STOPPED"), Ink::Dim)),
             _ if gone(link.a) || gone(link.b) => pieces.push((format!("{name}DOWN"), Ink::Warn)),
             _ if is_cut(link.a, link.b) => pieces.push((format!("{name}CUT"), Ink::Bad)),
-            Some(us) if us <= LATELY_US => pieces.push((format!("{name}ok"), Ink::Plain)),
+            _ if is_faulty(link.a, link.b) => pieces.push((format!("{name}FAULTY"), Ink::Bad)),
+            Some(us) if us <= LATELY_US => {
+                let (delay, ink) = delay(app, cell, [(link.a, link.b), (link.b, link.a)], now);
+                pieces.push((format!("{name}ok{delay}"), ink));
+            }
             // Without traffic a link is quiet, which is no fault.
             Some(us) => pieces.push((format!("{name}quiet {}", Span::micros(us).in_seconds()), Ink::Dim)),
             None => unknown += 1,
@@ -64,6 +77,26 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink)> {
         pieces.push((format!("  {} more", names.links.len() - SHOWN), Ink::Dim));
     }
     pieces
+}
+
+/// The links between these nodes, as their ends measure them.
+fn measured<'a>(app: &'a App, cell: &Name, ends: [(NodeId, NodeId); 2], now: Moment) -> Vec<Measured<'a>> {
+    let direction = |(at, from)| {
+        let incarnation = app.store().latest(cell, at)?;
+        incarnation.measured(now).find(|link| link.report.peer == from)
+    };
+    ends.into_iter().filter_map(direction).collect()
+}
+
+/// The recent 99th percentile of the delay in the slower direction of a link, and the declared bound: ` 400us/5ms`.
+fn delay(app: &App, cell: &Name, ends: [(NodeId, NodeId); 2], now: Moment) -> (String, Ink) {
+    let links = measured(app, cell, ends, now);
+    let slowest =
+        links.iter().filter(|link| link.report.recent.count > 0).max_by_key(|link| link.report.recent.p99_us);
+    let Some(link) = slowest else { return (String::new(), Ink::Plain) };
+    let is_enough = links.iter().all(|link| link.margin() == Margin::Enough);
+    let text = format!(" {}/{}", Span::micros(link.report.recent.p99_us), Span::micros(link.bound_us));
+    (text, if is_enough { Ink::Plain } else { Ink::Warn })
 }
 
 /// How many links are shown at most; more have no room.

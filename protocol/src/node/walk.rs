@@ -10,12 +10,13 @@ use crate::task::Input;
 use crate::ticks::{Instant, Ticks};
 
 /// The kinds of inputs that a packed state can hold.
-const WORKS: [Work; 5] = [
+const WORKS: [Work; 6] = [
     Work::Pass(TaskId(0), Ticks::ZERO),
     Work::Task(TaskId(0), Input::Packet(Packet::BLANK)),
     Work::Task(TaskId(0), Input::Unsent(MessageId::BLANK)),
     Work::Task(TaskId(0), Input::TimeOut { id: TimeId(0), turn: 0 }),
     Work::Task(TaskId(0), Input::PeerRestarted(NodeId(0))),
+    Work::Task(TaskId(0), Input::PeerStopped(NodeId(0))),
 ];
 
 impl Node {
@@ -59,7 +60,7 @@ impl Work {
             // `turn` counts the starts of the timer, and is not packed: `Node::file` has dropped the time-outs of earlier
             // starts, so a queued time-out always belongs to the timer's last start.
             Self::Task(_, Input::TimeOut { id, turn: _ }) => w.byte(&mut id.0),
-            Self::Task(_, Input::PeerRestarted(node)) => w.small(&mut node.0),
+            Self::Task(_, Input::PeerRestarted(node) | Input::PeerStopped(node)) => w.small(&mut node.0),
             Self::Task(_, Input::Time | Input::Request(_))
             | Self::Route(_)
             | Self::Arm(..)

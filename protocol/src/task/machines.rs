@@ -192,10 +192,16 @@ impl Machines {
 
     /// Notes that a node has a new incarnation.
     pub fn peer_restarted(&mut self, step: &mut Step<'_, impl Outbox>, node: NodeId) {
+        self.peer_stopped(step, node);
+        self.meetings.restarted(step, node);
+    }
+
+    /// Ends the outstanding requests to tasks of a node that answers none any more. An arrival of such a task still counts: the
+    /// task may have been released, and its partners must be released, too.
+    pub fn peer_stopped(&mut self, step: &mut Step<'_, impl Outbox>, node: NodeId) {
         while let Some(ended) = self.client.restarted(step, node) {
             self.end(step, Some(ended));
         }
-        self.meetings.restarted(step, node);
     }
 
     /// Takes the report of a part that a wait ended.

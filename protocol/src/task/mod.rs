@@ -81,6 +81,8 @@ pub enum Input {
     Unsent(MessageId),
     /// The named node has a new incarnation.
     PeerRestarted(NodeId),
+    /// The named node has stopped in order: its tasks answer no request any more. What they sent before stays valid.
+    PeerStopped(NodeId),
 }
 
 /// The communication task of one task. [`CommTask::new`] allocates its storage, sized from the declaration. Only the first
@@ -148,6 +150,7 @@ impl CommTask {
             Input::TimeOut { id, turn } => machines.time_is_over(step, (*id, *turn)),
             Input::Unsent(id) => machines.client.unsent(*id),
             Input::PeerRestarted(node) => machines.peer_restarted(step, *node),
+            Input::PeerStopped(node) => machines.peer_stopped(step, *node),
         }
         if !answered {
             machines.offer_to_waiting(step);

@@ -7,6 +7,7 @@ use super::{Leading, Link, LinkBusy, PollEnd, Sink};
 use crate::lock::lock;
 use imrs_protocol::{NodeId, Packet};
 use imrs_wire::envelope::MAX_PACKETS;
+use imrs_wire::obs::LinkReport;
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard};
@@ -169,6 +170,22 @@ impl<L: Link> Link for FaultyLink<L> {
 
     fn evidence(&self) -> Vec<(&'static str, u64)> {
         self.inner.evidence()
+    }
+
+    /// While a neighbour is cut off, none hears the goodbye.
+    fn goodbye(&self) {
+        let now = Instant::now();
+        let is_cut = {
+            let faults = self.faults();
+            !faults.cut.is_empty() || faults.cuts_to_come.iter().any(|(_, span)| span.contains(&now))
+        };
+        if !is_cut {
+            self.inner.goodbye();
+        }
+    }
+
+    fn health(&self) -> Vec<LinkReport> {
+        self.inner.health()
     }
 
     fn leading(&self) -> Option<&dyn Leading> {

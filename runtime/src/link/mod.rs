@@ -11,6 +11,7 @@ pub mod udp;
 pub use crate::sync::lead::Came;
 use imrs_protocol::{Incarnation, NodeId, Packet, PacketError, Ticks};
 use imrs_wire::envelope::{EnvelopeError, MAX_PACKETS};
+use imrs_wire::obs::LinkReport;
 use std::fmt;
 use std::time::{Duration, Instant};
 
@@ -27,6 +28,10 @@ pub trait Sink: Send + Sync {
     /// Reports the first contact with a neighbour, or its new session. `restarted` says whether an earlier incarnation
     /// of the neighbour may have taken requests, according to the neighbour itself or to this node's memory.
     fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool);
+
+    /// Reports that a neighbour has stopped in order: none of its tasks runs any more. A link that cannot know this never
+    /// calls it.
+    fn stopped(&self, _node: NodeId) {}
 
     /// Reports that the link dropped a datagram or packet that arrived. Drops are counted by reason.
     fn discarded(&self, reason: LinkDiscard);
@@ -121,6 +126,15 @@ pub trait Link: Send + Sync {
     /// Other counters of the link, by name: how much work it does, and how certain it is of the times for which
     /// datagrams waited.
     fn evidence(&self) -> Vec<(&'static str, u64)> {
+        Vec::new()
+    }
+
+    /// Tells the neighbours that this node has stopped in order. Called when nothing of the node runs any more. By default it does
+    /// nothing.
+    fn goodbye(&self) {}
+
+    /// How long datagrams from each neighbour took, and how many were damaged, as far as the link measures that.
+    fn health(&self) -> Vec<LinkReport> {
         Vec::new()
     }
 
@@ -262,6 +276,12 @@ impl LinkDiscard {
             Self::StaleSession => 20,
             Self::Forged => 21,
         }
+    }
+
+    /// Whether the datagram is damaged, or is no datagram of this program at all. A checksum or a tag shows that.
+    #[must_use]
+    pub const fn is_damage(self) -> bool {
+        matches!(self, Self::TooShort | Self::NotImrs | Self::Checksum | Self::Length | Self::Forged)
     }
 
     /// A short name for tables and counters.

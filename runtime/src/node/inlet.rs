@@ -5,7 +5,7 @@ use crate::clock;
 use crate::link::{LinkDiscard, Sink};
 use crate::node::effects::Effects;
 use crate::sync::{Mutex, Ordering, lock};
-use imrs_protocol::{Incarnation, NodeId, Packet, Ticks};
+use imrs_protocol::{Incarnation, Input, NodeId, Packet, Ticks};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -51,8 +51,12 @@ impl Sink for Inlet {
         // may even have gone to it before this node received anything from it. A neighbour that lost its state may
         // start again with the number of an earlier incarnation.
         if before.is_some() || restarted {
-            self.node.restarted(node, clock::now(), &mut lock(&self.effects));
+            self.node.tell_all(Input::PeerRestarted(node), clock::now(), &mut lock(&self.effects));
         }
+    }
+
+    fn stopped(&self, node: NodeId) {
+        self.node.tell_all(Input::PeerStopped(node), clock::now(), &mut lock(&self.effects));
     }
 
     fn discarded(&self, reason: LinkDiscard) {

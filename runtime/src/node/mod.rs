@@ -386,11 +386,10 @@ impl Node {
         self.carry_out(effects);
     }
 
-    /// Tells all tasks that a neighbour has a new incarnation.
-    fn restarted(&self, node: NodeId, at: Micros, effects: &mut Effects) {
+    /// Gives all tasks this input about a neighbour.
+    fn tell_all(&self, input: Input, at: Micros, effects: &mut Effects) {
         for local in &self.locals.list {
-            let stamped = Stamped { at, input: Input::PeerRestarted(node) };
-            local.deliver(stamped, effects);
+            local.deliver(Stamped { at, input }, effects);
         }
         self.carry_out(effects);
     }

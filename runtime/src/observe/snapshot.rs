@@ -9,8 +9,8 @@ use crate::observe::ring::Ring;
 use crate::sync::Ordering;
 use imrs_protocol::{Observation, PortId, Reason, TaskId, Ticks};
 use imrs_wire::obs::{
-    Count, Detail, Gathering, HeldBack, HeldTask, LinkView, NodeIdentity, PortDetail, Snapshot, TimedEvent,
-    TimerEntry,
+    Count, Detail, Gathering, HeldBack, HeldTask, LinkReports, LinkView, NodeIdentity, PortDetail, Snapshot,
+    TimedEvent, TimerEntry,
 };
 use std::sync::Arc;
 
@@ -81,6 +81,13 @@ impl Node {
             link_discards: link_counts.chain(failures).map(|(name, n)| named(name, n)).collect(),
             ..gathering.snapshot(transit)
         }
+    }
+
+    /// How long datagrams took on the node's links, and how many were damaged; empty if the link does not measure that.
+    #[must_use]
+    pub fn link_reports(&self) -> LinkReports {
+        let links = self.link.iter().flat_map(|link| link.health());
+        LinkReports { mono_us: clock::now(), links: links.collect() }
     }
 
     /// The tasks whose scripts have not begun yet because the node was restarted.

@@ -23,7 +23,9 @@ pub use verdict::{Divergence, InvariantBroken, Miscount, ScriptDivergence, Verdi
 pub(crate) use script::Did;
 
 use imrs_protocol::script::Program;
-use imrs_protocol::{CommTask, Input, Observation, Outbox, Packet, Signal, TaskId, Ticks, TimeId};
+use imrs_protocol::{
+    CommTask, Input, NodeTable, Observation, Outbox, Packet, Signal, TaskId, Ticks, TimeId, invariants,
+};
 use std::sync::Arc;
 
 /// One input of a communication task.
@@ -123,4 +125,19 @@ impl Step {
     pub(crate) const fn has_input(&self) -> bool {
         !matches!(self.input, Input::Time)
     }
+}
+
+/// Runs one step as the runtime does: first everything that is due, then the input. Checks the machine after both.
+fn run_checked(
+    (machine, table): (&mut CommTask, &NodeTable),
+    step: Step,
+    out: &mut impl Outbox,
+) -> Result<(), invariants::Violation> {
+    let now = machine.now() + step.elapsed;
+    let mut take = |input| {
+        machine.handle(table, now, input, out);
+        invariants::check(machine, table)
+    };
+    let sound = if step.elapsed.is_zero() || !step.has_input() { Ok(()) } else { take(&Input::Time) };
+    sound.and(take(&step.input))
 }

@@ -5,12 +5,12 @@
 
 use super::script::{Again, Watched};
 use super::verdict::{Divergence, InvariantBroken, Miscount, ScriptDivergence, Verdict};
-use super::{Digesting, OutputDigest, Step};
+use super::{Digesting, OutputDigest, Step, run_checked};
 use crate::script::Watch;
 use imrs_protocol::script::Program;
 use imrs_protocol::{
-    CommTask, Incarnation, Input, NodeTable, Outbox, Packet, Request, Signal, TaskId, Ticks, TimeId,
-    invariants,
+    CommTask, Incarnation, Input, NodeTable, Outbox, Packet, Request, Signal, TaskId, TaskState, Ticks,
+    TimeId, invariants,
 };
 use imrs_wire::recording::{Happened, Happening, ScriptStep};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -158,6 +158,11 @@ impl<'t> Replay<'t> {
         match entry.step.input {
             Input::Packet(packet) => heard.note(Happened::Came(packet)),
             Input::PeerRestarted(node) => heard.note(Happened::PeerRestarted(node)),
+            Input::PeerStopped(node) => heard.note(match machine.view(self.table, 0).state {
+                // Its answer will not come, as after a restart.
+                TaskState::AwaitingReply { .. } => Happened::PeerRestarted(node),
+                _ => Happened::Time,
+            }),
             Input::Time | Input::TimeOut { .. } | Input::Unsent(_) => heard.note(Happened::Time),
             Input::Request(_) => {}
         }
@@ -280,7 +285,9 @@ impl<'t> Replay<'t> {
                 self.table.port(packet.port).is_some()
                     && ends.into_iter().all(|task| self.table.location(task).is_some())
             }
-            Input::PeerRestarted(node) => node.index() < self.table.cell.cell().nodes.len(),
+            Input::PeerRestarted(node) | Input::PeerStopped(node) => {
+                node.index() < self.table.cell.cell().nodes.len()
+            }
             Input::Time | Input::Request(_) | Input::TimeOut { .. } | Input::Unsent(_) => true,
         }
     }
@@ -330,21 +337,6 @@ impl<'t> Replay<'t> {
             (None, None) => Verdict::Same,
         }
     }
-}
-
-/// Runs one step as the runtime does: first everything that is due, then the input. Checks the machine after both.
-fn run_checked(
-    (machine, table): (&mut CommTask, &NodeTable),
-    step: Step,
-    out: &mut impl Outbox,
-) -> Result<(), invariants::Violation> {
-    let now = machine.now() + step.elapsed;
-    let mut take = |input| {
-        machine.handle(table, now, input, out);
-        invariants::check(machine, table)
-    };
-    let sound = if step.elapsed.is_zero() || !step.has_input() { Ok(()) } else { take(&Input::Time) };
-    sound.and(take(&step.input))
 }
 
 /// Runs the machine of `task` through its recorded inputs, from the start of this incarnation of its node, and compares

@@ -102,7 +102,7 @@ fn alter_input(input: &mut Input, random: &mut fastrand::Rng) {
         Input::TimeOut { id, turn } if random.bool() => (id.0, *turn) = (id.0 ^ 1, *turn),
         Input::TimeOut { turn, .. } => *turn = turn.wrapping_add(random.u8(1..)),
         Input::Unsent(id) => id.sequence = Seq24::new(id.sequence.get() ^ 1),
-        Input::PeerRestarted(node) => node.0 ^= 1,
+        Input::PeerRestarted(node) | Input::PeerStopped(node) => node.0 ^= 1,
     }
 }
 

@@ -14,19 +14,19 @@ use imrs_wire::envelope::keyed::{self, Keyed};
 use std::collections::BTreeMap;
 
 /// The keys of the three nodes of a cell.
-fn keys() -> [NodeKeys; 3] {
+pub fn keys() -> [NodeKeys; 3] {
     let cell = draw_cell_key().unwrap();
     let pairs = [A, B, C].map(|node| (node, draw_node_keys().unwrap()));
     let publics: BTreeMap<_, _> = pairs.iter().map(|(node, (_, public))| (*node, *public)).collect();
     pairs.each_ref().map(|(_, (private, _))| NodeKeys::new(cell.clone(), private.clone(), publics.clone()))
 }
 
-fn pair(keys: &[NodeKeys; 3]) -> (UdpLink, UdpLink) {
+pub fn pair(keys: &[NodeKeys; 3]) -> (UdpLink, UdpLink) {
     introduced(link(A).with_keys(&keys[0]).unwrap(), link(B).with_keys(&keys[1]).unwrap())
 }
 
 /// Sends packets as a node does: as soon as the link takes them. Returns once all packets have arrived.
-fn carried(from: &UdpLink, to: &UdpLink, numbers: std::ops::Range<u32>) -> Memory {
+pub fn carried(from: &UdpLink, to: &UdpLink, numbers: std::ops::Range<u32>) -> Memory {
     let (at_from, at_to) = (Memory::default(), Memory::default());
     let packets: Vec<_> = numbers.map(packet).collect();
     let mut left = &packets[..];

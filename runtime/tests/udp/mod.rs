@@ -2,6 +2,8 @@
 
 mod faults;
 mod flood;
+mod goodbye;
+mod health;
 mod hostile;
 mod keys;
 mod mutated;

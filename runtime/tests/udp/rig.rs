@@ -166,6 +166,7 @@ pub struct Memory {
     pub packets: Mutex<Vec<(NodeId, Packet, Ticks)>>,
     pub peers: Mutex<Vec<(NodeId, Incarnation, bool)>>,
     pub discards: Mutex<Vec<LinkDiscard>>,
+    pub stopped: Mutex<Vec<NodeId>>,
 }
 
 impl Sink for Memory {
@@ -175,6 +176,10 @@ impl Sink for Memory {
 
     fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool) {
         self.peers.lock().unwrap().push((node, incarnation, restarted));
+    }
+
+    fn stopped(&self, node: NodeId) {
+        self.stopped.lock().unwrap().push(node);
     }
 
     fn discarded(&self, reason: LinkDiscard) {

@@ -37,7 +37,7 @@ pub(super) fn purpose_of(flags: u8, extra: u8) -> Result<(Purpose, bool, bool), 
             remembers: flag(FLAG_REMEMBERS).then_some(Incarnation(extra)),
         }),
         2 => Purpose::Refusal(Refused::of(extra).ok_or(EnvelopeError::Purpose(flags))?),
-        _ => return Err(EnvelopeError::Purpose(flags)),
+        _ => Purpose::Goodbye,
     };
     Ok((purpose, flag(FLAG_RESTARTED), flag(FLAG_ECHO)))
 }
@@ -54,6 +54,7 @@ pub(super) fn flags_of(envelope: &Envelope) -> (u8, u8) {
             (1 | flags, remembers.map_or(0, |of| of.0))
         }
         Purpose::Refusal(reason) => (2, reason as u8),
+        Purpose::Goodbye => (3, 0),
     };
     let flags = flag(FLAG_ECHO, envelope.echo.is_some()) | flag(FLAG_RESTARTED, envelope.restarted);
     (purpose | flags, extra)

@@ -11,7 +11,7 @@
 //! 12..14  sender node
 //! 14..16  receiver node
 //! 16      incarnation of the sender
-//! 17      bits 0-1 purpose: 0 packets, 1 greeting, 2 refusal
+//! 17      bits 0-1 purpose: 0 packets, 1 greeting, 2 refusal, 3 goodbye
 //!         bit 2 an echo is given
 //!         bit 3 an earlier incarnation of the sender may have taken requests
 //!         of a greeting: bit 4 it wants an answer, bit 5 the sender has no incarnation yet, bit 6 byte 19 is given
@@ -27,7 +27,7 @@
 //! last 4  CRC-32/MEF over everything before it
 //! ```
 //!
-//! A greeting or a refusal takes 64 bytes; each packet adds 32. The maximum of 44 packets makes 1472 bytes, which fit
+//! A greeting, a refusal or a goodbye takes 64 bytes; each packet adds 32. The maximum of 44 packets makes 1472 bytes, which fit
 //! an Ethernet frame under IPv4. 36 packets make 1216 bytes; every IPv6 network carries 1232. With keys a datagram is 12 bytes
 //! shorter.
 //!
@@ -109,7 +109,7 @@ pub struct Envelope {
     pub restarted: bool,
     /// The session of the sender.
     pub session: Session,
-    /// The sequence number among the datagrams with packets from this session to this receiver; below [`COUNTER_END`].
+    /// The sequence number among the datagrams with packets, and goodbyes, from this session to this receiver; below [`COUNTER_END`].
     pub counter: u64,
     /// The sender's monotonic clock, in microseconds. It is not later than the instant at which the packets' remaining
     /// times hold.
@@ -140,6 +140,9 @@ pub enum Purpose {
     Greeting(Greeting),
     /// The datagram tells the receiver that the sender drops all of the receiver's datagrams. It carries no packet.
     Refusal(Refused),
+    /// The sender has stopped in order: none of its tasks runs any more, and its session ends. It carries no packet, and has a
+    /// counter as datagrams with packets have. Programs from before D207 drop it.
+    Goodbye,
 }
 
 /// The statements of a greeting about its sender and its receiver.
@@ -302,7 +305,7 @@ pub const fn supersedes(new: Incarnation, old: Incarnation) -> bool {
     steps != 0 && steps < 0x80
 }
 
-/// The bytes of a datagram without packets: a greeting, or a refusal.
+/// The bytes of a datagram without packets: a greeting, a refusal, or a goodbye.
 #[must_use]
 pub fn without_packets(envelope: &Envelope, digests: Digests) -> [u8; OVERHEAD_BYTES] {
     datagram::bare(envelope, digests)

@@ -35,6 +35,12 @@ impl ReplayWindow {
         true
     }
 
+    /// The counter after the newest accepted one.
+    #[must_use]
+    pub const fn next(&self) -> u64 {
+        self.next
+    }
+
     /// Whether [`accept`](Self::accept) would accept `counter`.
     #[must_use]
     pub const fn is_new(&self, counter: u64) -> bool {

@@ -2,6 +2,7 @@
 
 use super::decode::{DecodeError, whole};
 use super::delta::Delta;
+use super::links::LinkReports;
 use super::snapshot::Snapshot;
 use super::told::{Denied, Detail, HeldBack, Places, Pong, Vitals};
 use super::version::Version;
@@ -167,6 +168,8 @@ pub enum ServerFrame {
     HeldBack(HeldBack),
     /// The node requires a token, and the monitor must prove that it has the token (1.3).
     Challenge(Challenge),
+    /// How long datagrams took on the node's links, and how many were damaged (1.4).
+    Links(LinkReports),
 }
 
 impl ServerFrame {
@@ -183,6 +186,7 @@ impl ServerFrame {
             | Self::Denied(_) => 1,
             Self::HeldBack(_) => 2,
             Self::Challenge(_) => 3,
+            Self::Links(_) => 4,
         };
         Version { major: 1, minor }
     }
@@ -191,7 +195,12 @@ impl ServerFrame {
     #[must_use]
     pub const fn costs(&self) -> bool {
         match self {
-            Self::Snapshot(_) | Self::Events(_) | Self::Delta(_) | Self::Detail(_) | Self::Vitals(_) => true,
+            Self::Snapshot(_)
+            | Self::Events(_)
+            | Self::Delta(_)
+            | Self::Detail(_)
+            | Self::Vitals(_)
+            | Self::Links(_) => true,
             Self::Table(_)
             | Self::Bye(_)
             | Self::Pong(_)
@@ -207,7 +216,7 @@ impl ServerFrame {
     /// # Errors
     /// [`DecodeError`]. After [`DecodeError::UnknownKind`] the next frame can still be read.
     pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
-        whole(bytes, 12)
+        whole(bytes, 13)
     }
 }
 

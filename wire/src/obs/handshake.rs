@@ -8,7 +8,7 @@ use thiserror::Error;
 
 /// The CRC-32 of the golden frames of [`VERSION`] and of the minor versions before it. Two builds of one version with
 /// different values have different frame types, and would misread each other's frames.
-pub const SCHEMA: u32 = 0x792d_984e;
+pub const SCHEMA: u32 = 0x0455_08ca;
 
 const MAGIC: [u8; 4] = *b"IMOB";
 /// The length of the magic bytes and the two version numbers, which have the same meaning in every version.

@@ -32,6 +32,10 @@
 //! the challenge with a [`ClientFrame::Proof`]; otherwise the node sends [`Denied`]. Until version 1.2 the monitor sent
 //! the token itself. A node with a token refuses such a monitor, and a monitor sends no token to such a node.
 //!
+//! # What version 1.4 adds
+//!
+//! [`ServerFrame::Links`] says how long datagrams took on each link, and how many were damaged.
+//!
 //! No frame can change a node: a monitor can only say how much it wants to see, and how often.
 //!
 //! # Encoding
@@ -47,6 +51,7 @@ mod frames;
 mod framing;
 mod gathering;
 mod handshake;
+mod links;
 pub mod place;
 mod snapshot;
 mod told;
@@ -65,6 +70,7 @@ pub use frames::{
 pub use framing::{FrameError, FrameReader, FrameWriter, MAX_FRAME, MAX_REQUEST};
 pub use gathering::Gathering;
 pub use handshake::{Handshake, Hello, NodeIdentity, Refusal, Role, SCHEMA, agree};
+pub use links::{Delays, Integrity, LinkReport, LinkReports, Margin};
 pub use snapshot::{Count, LinkView, Liveness, RealTime, Snapshot, TaskSnapshot, TimerEntry};
 pub use told::{
     Denied, Detail, HeldBack, HeldTask, Lateness, MAX_WATCHED, NodePlace, Places, Pong, PortDetail,

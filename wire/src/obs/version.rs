@@ -19,4 +19,4 @@ impl fmt::Display for Version {
 }
 
 /// The version that this library speaks.
-pub const VERSION: Version = Version { major: 1, minor: 3 };
+pub const VERSION: Version = Version { major: 1, minor: 4 };

@@ -36,7 +36,7 @@ use serde::{Deserialize, Serialize};
 /// The first bytes of every recording.
 pub const MAGIC: [u8; 8] = *b"\x9dimrsrec";
 /// The format version of this library.
-pub const VERSION: u16 = 11;
+pub const VERSION: u16 = 12;
 /// The greatest length of a record's contents, in bytes.
 pub const MAX_RECORD_BYTES: usize = 2 << 20;
 

@@ -40,6 +40,8 @@ lints! {
     MODEL_VIOLATION Bad "model-violation" "a node does not do what was verified";
     LINK_CUT Bad "link-cut" "what one node sends does not arrive at another one";
     DIGEST_MISMATCH Bad "digest-mismatch" "nodes run different cells under one name";
+    LINK_FAULTY Warn "link-faulty" "a link damages datagrams and loses them";
+    LINK_LATE Warn "link-late" "datagrams take longer than their link declares";
     VERSION_MISMATCH Warn "version-mismatch" "nodes of different releases";
     RENDEZVOUS_STUCK Warn "rendezvous-stuck" "a rendezvous will soon be given up";
     WITHIN_MARGIN Warn "within-margin" "all arrived, too late to go on alone";
@@ -57,6 +59,7 @@ lints! {
     LINK_DISCARDS Warn "link-discards" "datagrams that cannot be used";
     NODE_SILENT Warn "node-silent" "a node sends nothing, though attached";
     NO_REAL_TIME Note "no-real-time" "real time was asked for and refused";
+    LINK_NEAR Note "link-near-bound" "datagrams take nearly as long as their link declares";
     HELD_BACK Note "held-back" "scripts of a restarted node begin later";
     EVENTS_LOST Note "events-lost" "the node could not keep all events for this monitor";
 }

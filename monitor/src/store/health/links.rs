@@ -6,6 +6,7 @@ use crate::clock::{Moment, Span};
 use crate::name::Name;
 use crate::store::cuts::{ORDINARY, cuts};
 use crate::store::{NodeIncarnation, Store};
+use imrs_wire::obs::{Delays, Margin};
 
 /// The link counters (`runtime/src/link`) with a lint of their own, and what the dropped datagrams are. Any other counter is
 /// [`codes::LINK_DISCARDS`], unless it is routine.
@@ -46,6 +47,39 @@ pub(super) fn look(incarnation: &NodeIncarnation, lately: &Lately<'_>, found: &m
     if transit.capacity > 0 && u32::from(transit.len) * 10 >= u32::from(transit.capacity) * 9 {
         let text = format!("transit buffer {} of {}", transit.len, transit.capacity);
         found.push(Finding::new(&codes::TRANSIT_FULL, place, text));
+    }
+}
+
+/// Reports the links whose datagrams take long, against the declared bound, and those that count as faulty, at the node that
+/// receives.
+pub(super) fn measured(incarnation: &NodeIncarnation, now: Moment, found: &mut Vec<Finding>) {
+    let place = Place::node(incarnation);
+    for link in incarnation.measured(now) {
+        let from = incarnation.names.node(link.report.peer);
+        let (recent, bound) = (link.report.recent, Span::micros(link.bound_us));
+        if link.report.integrity.is_faulty {
+            let failures = link.report.integrity.failures;
+            let text =
+                format!("link from {from} is faulty: {failures} damaged datagrams, and others are missing");
+            found.push(Finding::new(&codes::LINK_FAULTY, place, text));
+        }
+        match link.margin() {
+            Margin::Enough => {}
+            Margin::Near => {
+                let text = format!(
+                    "link from {from}: p99 at most {}, declared {bound}",
+                    Span::micros(recent.p99_us)
+                );
+                found.push(Finding::new(&codes::LINK_NEAR, place, text));
+            }
+            Margin::Exceeded => {
+                let Delays { count, late, .. } = recent;
+                let text = format!(
+                    "link from {from}: {late} of {count} datagrams took longer than the declared {bound}"
+                );
+                found.push(Finding::new(&codes::LINK_LATE, place, text));
+            }
+        }
     }
 }
 

@@ -4,7 +4,7 @@ use super::{Finding, Lately, Place, codes, links, port};
 use crate::clock::{Moment, Span};
 use crate::name::Name;
 use crate::store::conformance::{Verdict, conformance};
-use crate::store::{Condition, NodeIncarnation, Presence, Store, unseen};
+use crate::store::{Condition, NodeIncarnation, Presence, Store, Unseen, unseen};
 use imrs_wire::obs::{Liveness, RealTime};
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -51,6 +51,7 @@ pub(super) fn look(store: &Store, incarnation: &NodeIncarnation, now: Moment, fo
     }
     timers(incarnation, now, found);
     links::look(incarnation, &lately, found);
+    links::measured(incarnation, now, found);
     found.extend_from_slice(incarnation.looked.or_look(|| tasks(store, incarnation, &lately)));
 }
 
@@ -114,7 +115,8 @@ fn timers(incarnation: &NodeIncarnation, now: Moment, found: &mut Vec<Finding>) 
 
 /// Reports nodes that the monitor has never seen: killed nodes, whose socket was left behind, and missing ones.
 pub(super) fn never_seen(store: &Store, cell: &Name, found: &mut Vec<Finding>) {
-    for one in unseen(store, cell) {
+    let is_gone = |one: &Unseen| store.is_said_to_have_stopped(cell, one.node);
+    for one in unseen(store, cell).into_iter().filter(|one| !is_gone(one)) {
         let place = Place { node: Err(one.node), task: None, port: None };
         if one.is_killed {
             found.push(Finding::new(&codes::NODE_DEAD, place, "dead: its socket was left behind".to_owned()));

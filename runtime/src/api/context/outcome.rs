@@ -118,7 +118,7 @@ pub enum Asked<M = Bytes> {
     TimedOutUnsent,
     /// The time_out ended without an answer; the command may have run.
     TimedOutUnknown,
-    /// The destination's node restarted before the answer came; the command may have run.
+    /// The destination's node stopped or restarted before the answer came; the command may have run.
     PeerRestarted,
 }
 

@@ -31,6 +31,17 @@ pub(super) struct LinkDelay {
     fastest: Option<Sample>,
 }
 
+/// How long a datagram has taken on its hop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Hop {
+    /// It took no longer than this.
+    pub(super) longest: Ticks,
+    /// It took at least this long: it was later than the fastest recent datagram by so much.
+    pub(super) shortest: Ticks,
+    /// Whether an echo proves `longest`. Otherwise it depends on the declared bound.
+    pub(super) is_proven: bool,
+}
+
 #[derive(Clone, Copy, Debug)]
 struct Sample {
     value: i64,
@@ -51,31 +62,43 @@ impl LinkDelay {
         Self { declared: i64::try_from(declared.0).unwrap_or(i64::MAX), proven: None, fastest: None }
     }
 
-    /// The longest that a datagram can have taken, its wait in this node's kernel included. The result is defined for all
+    /// Bounds the time that a datagram has taken, its wait in this node's kernel included. The result is defined for all
     /// values, because a sender may write anything into its clocks.
-    pub(super) fn arrived(&mut self, tx: u64, echo: Option<u64>, recv: u64) -> Ticks {
+    pub(super) fn arrived(&mut self, tx: u64, echo: Option<u64>, recv: u64) -> Hop {
         let apart = recv.wrapping_sub(tx).cast_signed();
+        let mut proven = self.proven.map(|p| p.value.saturating_sub(p.drift(recv)));
         // A datagram cannot arrive before it was sent: a bound that implies this came from a wrong clock.
-        if self.proven.is_some_and(|p| p.value.saturating_sub(p.drift(recv)) > apart.saturating_add(ROUNDING))
-        {
-            self.proven = None;
+        if proven.is_some_and(|least| least > apart.saturating_add(ROUNDING)) {
+            proven = None;
         }
         // An echo from the future of this node's clock does not count.
         if let Some(echo) = echo.filter(|&echo| echo <= recv) {
             let value = echo.wrapping_sub(tx).cast_signed();
-            if self.proven.is_none_or(|p| value >= p.value.saturating_sub(p.drift(recv))) {
+            if proven.is_none_or(|least| value >= least) {
                 self.proven = Some(Sample { value, at: recv });
+                proven = Some(value);
             }
         }
-        if self.fastest.is_none_or(|f| apart <= f.value.saturating_add(f.drift(recv))) {
+        if proven.is_none() {
+            self.proven = None;
+        }
+        // No datagram arrives before it was sent, so the fastest one bounds the offset from above.
+        let fastest = self.fastest.map(|f| f.value.saturating_add(f.drift(recv)));
+        let most_offset = fastest.filter(|&fastest| fastest < apart).unwrap_or(apart);
+        if most_offset == apart {
             self.fastest = Some(Sample { value: apart, at: recv });
         }
-        let proven = self.proven.map(|p| p.value.saturating_sub(p.drift(recv)));
-        let assumed =
-            self.fastest.map(|f| f.value.saturating_sub(f.drift(recv)).saturating_sub(self.declared));
-        let least_offset = proven.or(assumed).unwrap_or(apart);
-        let longest = apart.saturating_sub(least_offset).saturating_add(ROUNDING);
-        Ticks(u64::try_from(longest).unwrap_or(0))
+        let assumed = || {
+            let fastest = self.fastest.map(|f| f.value.saturating_sub(f.drift(recv)));
+            fastest.map(|fastest| fastest.saturating_sub(self.declared))
+        };
+        let least_offset = proven.or_else(assumed).unwrap_or(apart);
+        let ticks = |time: i64| Ticks(u64::try_from(time).unwrap_or(0));
+        Hop {
+            longest: ticks(apart.saturating_sub(least_offset).saturating_add(ROUNDING)),
+            shortest: ticks(apart.saturating_sub(most_offset).saturating_sub(ROUNDING)),
+            is_proven: proven.is_some(),
+        }
     }
 }
 
@@ -90,41 +113,41 @@ mod tests {
     fn a_stopped_sender_yields_old_datagrams() {
         let mut d = LinkDelay::new(DECLARED);
         // In this test the offset of the clocks is 1,000,000; each way takes 60 us; an echo is held for 1 ms.
-        assert_eq!(d.arrived(1_000, Some(1_000_940), 1_001_060), Ticks(120 + 4));
-        assert_eq!(d.arrived(3_000, None, 1_003_060), Ticks(120 + 4));
+        assert_eq!(d.arrived(1_000, Some(1_000_940), 1_001_060).longest, Ticks(120 + 4));
+        assert_eq!(d.arrived(3_000, None, 1_003_060).longest, Ticks(120 + 4));
         // Here 500 ms pass between the sender's reading of its clock and its `sendto`.
-        assert_eq!(d.arrived(5_000, None, 1_505_060), Ticks(500_120 + 4 + 201));
+        assert_eq!(d.arrived(5_000, None, 1_505_060).longest, Ticks(500_120 + 4 + 201));
     }
 
     #[test]
     fn before_the_first_echo_the_fastest_datagram_is_taken_to_have_kept_the_bound() {
         let mut d = LinkDelay::new(DECLARED);
-        assert_eq!(d.arrived(0, None, 7_000_050), Ticks(2_004));
-        assert_eq!(d.arrived(1_000, None, 7_301_050), Ticks(2_004 + 300_000 + 120));
-        assert_eq!(d.arrived(400_000, None, 7_400_030), Ticks(2_004));
+        assert_eq!(d.arrived(0, None, 7_000_050).longest, Ticks(2_004));
+        assert_eq!(d.arrived(1_000, None, 7_301_050).longest, Ticks(2_004 + 300_000 + 120));
+        assert_eq!(d.arrived(400_000, None, 7_400_030).longest, Ticks(2_004));
     }
 
     #[test]
     fn an_echo_from_the_future_is_none() {
         let mut d = LinkDelay::new(DECLARED);
-        assert_eq!(d.arrived(0, Some(51), 50), Ticks(2_004));
+        assert_eq!(d.arrived(0, Some(51), 50).longest, Ticks(2_004));
     }
 
     #[test]
     fn a_bound_that_a_later_datagram_contradicts_is_forgotten() {
         let mut d = LinkDelay::new(DECLARED);
-        assert_eq!(d.arrived(1_000, Some(1_000_940), 1_001_060), Ticks(120 + 4));
+        assert_eq!(d.arrived(1_000, Some(1_000_940), 1_001_060).longest, Ticks(120 + 4));
         // A datagram whose clock is mistaken claims an offset that is a second too large.
         d.arrived(0, Some(2_000_000), 2_000_060);
         // The next datagram shows that the claimed offset is wrong, and how long the datagram itself took.
-        assert_eq!(d.arrived(2_000_000, Some(2_999_940), 3_000_060), Ticks(120 + 4));
+        assert_eq!(d.arrived(2_000_000, Some(2_999_940), 3_000_060).longest, Ticks(120 + 4));
     }
 
     proptest! {
         /// Tests two clocks that drift, delays of any length, and echoes held for any time: the charge is never less than
-        /// the truth.
+        /// the truth, and the lower bound never more.
         #[test]
-        fn never_too_little(
+        fn the_truth_lies_between_the_bounds(
             ppm in -190..190_i64, offset in 0..1_000_000_000_i64,
             trips in proptest::collection::vec((0..20_000_u64, 0..20_000_u64, 0..3_000_000_u64, any::<bool>()), 1..60),
         ) {
@@ -143,8 +166,10 @@ mod tests {
                 // The time for which the echo is held is measured with a clock that may run fast.
                 let echo = echo - held / (1_000_000 / DRIFT_PPM) - 1;
                 let recv = heard + held + back;
-                let charge = d.arrived(tx, (echoed || i == 0).then_some(echo), recv);
-                prop_assert!(charge.0 >= back, "trip {i}: {charge} for {back}");
+                let charge: Hop = d.arrived(tx, (echoed || i == 0).then_some(echo), recv);
+                let (longest, shortest) = (charge.longest.0, charge.shortest.0);
+                prop_assert!(charge.is_proven && longest >= back, "trip {i}: {longest} for {back}");
+                prop_assert!(shortest <= back, "trip {i}: at least {shortest} for {back}");
                 now = recv + 100;
             }
         }

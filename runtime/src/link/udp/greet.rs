@@ -124,19 +124,26 @@ impl UdpLink {
         }
     }
 
-    fn send_bare(&self, peer: &Peer, purpose: Purpose, heard: Option<Heard>) {
+    pub(super) fn send_bare(&self, peer: &Peer, purpose: Purpose, heard: Option<Heard>) {
         let mut route = lock(&peer.route);
         let Some(route) = route.as_mut() else { return };
         let envelope = self.envelope(peer, Instant::now(), heard, purpose);
-        let count =
-            if let Purpose::Refusal(_) = purpose { UdpCount::RefusalsSent } else { UdpCount::GreetingsSent };
+        let count = match purpose {
+            Purpose::Refusal(_) => UdpCount::RefusalsSent,
+            Purpose::Goodbye => UdpCount::GoodbyesSent,
+            Purpose::Packets | Purpose::Greeting(_) => UdpCount::GreetingsSent,
+        };
         let mut outgoing = lock(&peer.outgoing);
         let sent = match self.closing(peer, route, outgoing.counter) {
-            Ok(Closing::Checksum) => self.transmit(&without_packets(&envelope, self.digests()), route),
+            Ok(Closing::Checksum) => {
+                // A goodbye is the last of its session, which its counter shows.
+                let counter = if purpose == Purpose::Goodbye { outgoing.next() } else { envelope.counter };
+                let bytes = without_packets(&Envelope { counter, ..envelope }, self.digests());
+                self.transmit(&bytes, route)
+            }
             Ok(Closing::Keys(live)) => {
                 let (envelope, mut bare) =
-                    (Envelope { counter: outgoing.counter, ..envelope }, Datagram::default());
-                outgoing.counter += 1;
+                    (Envelope { counter: outgoing.next(), ..envelope }, Datagram::default());
                 live.seal(&mut bare, &envelope)
                     .map_err(std::io::Error::other)
                     .and_then(|()| self.transmit(bare.sealed(), route))

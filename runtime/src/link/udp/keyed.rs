@@ -5,6 +5,7 @@ use super::peer::{Peer, Route};
 use super::session::Known;
 use super::statistics::UdpCount;
 use super::{UdpError, UdpLink};
+use crate::link::residency::Reading;
 use crate::link::{LinkBusy, LinkDiscard};
 use crate::lock::lock;
 use imrs_protocol::NodeId;
@@ -241,14 +242,23 @@ impl UdpLink {
         }
     }
 
-    /// Something of another version came from the address of a neighbour with which this node has not talked. Nothing more can be read
-    /// of it. Says so to people, and the first time shows the neighbour at once which version this node has.
-    pub(super) fn hint_at_version(&self, from: SocketAddr) {
-        let is_it = |peer: &&Peer| {
-            let is_there = lock(&peer.route).as_ref().is_some_and(|route| route.address == from);
-            is_there && !peer.met.load(Ordering::Relaxed)
-        };
+    /// Notes that a datagram from the address of a neighbour was dropped for this reason.
+    pub(super) fn discarded_of(&self, from: SocketAddr, reason: LinkDiscard, now: &Reading) {
+        let is_it = |peer: &&Peer| lock(&peer.route).as_ref().is_some_and(|route| route.address == from);
         let Some(peer) = self.peers.iter().find(is_it) else { return };
+        match reason {
+            LinkDiscard::Version => self.hint_at_version(peer),
+            reason if reason.is_damage() => peer.health.failed(self.micros(now.after), peer.progress()),
+            _ => {}
+        }
+    }
+
+    /// Something of another version came from the address of a neighbour. If this node has not talked with it, says so to people, and
+    /// the first time shows the neighbour at once which version this node has. Nothing more can be read of the datagram.
+    fn hint_at_version(&self, peer: &Peer) {
+        if peer.met.load(Ordering::Relaxed) {
+            return;
+        }
         let is_known = lock(&peer.refusal).is_some_and(|refusal| refusal.why == Refused::OtherVersion);
         if is_known {
             return;

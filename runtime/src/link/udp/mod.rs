@@ -15,10 +15,14 @@
 //! attackers: a process that reaches the socket can forge datagrams. Keys ([`UdpLink::with_keys`]) protect from both (D191).
 
 mod delay;
+mod goodbye;
 mod greet;
+mod health;
 mod inbound;
+mod integrity;
 mod keyed;
 pub mod keys;
+mod leading;
 mod options;
 mod peer;
 mod receive;
@@ -28,15 +32,17 @@ mod socket;
 mod statistics;
 mod watch;
 
+pub use integrity::{FAILURES, WINDOW};
 pub use options::{NotANeighbour, UdpError, UdpOptions};
 pub use peer::Refusal;
 pub use statistics::UdpCount;
 
-use super::{Came, Leading, Link, LinkBusy, PollEnd, Sink};
+use super::{Leading, Link, LinkBusy, PollEnd, Sink};
 use crate::clock;
 use crate::lock::lock;
 use imrs_protocol::{Incarnation, NodeId, NodeTable, Packet, Ticks};
 use imrs_wire::envelope::{MAX_PACKETS, Session};
+use imrs_wire::obs::LinkReport;
 use inbound::{Inbound, STRANGERS};
 use peer::{Peer, Route};
 use receive::Room;
@@ -331,33 +337,6 @@ impl Drop for OwnPoll<'_> {
     }
 }
 
-impl Leading for UdpLink {
-    fn wait(&self, left: Option<Duration>) -> Came {
-        match self.leader.wait_some(left) {
-            Ok(Some(Seen::Readable(told))) => {
-                *lock(&self.told) = told;
-                Came::Something
-            }
-            Ok(Some(Seen::TimedOut)) => Came::Time,
-            Ok(Some(Seen::Woken) | None) => Came::Nothing,
-            Err(_) => {
-                self.wait_failed();
-                Came::Nothing
-            }
-        }
-    }
-
-    fn take_in(&self, sink: &dyn Sink) -> bool {
-        let told = std::mem::take(&mut *lock(&self.told));
-        let told = if told.is_empty() { self.leader.look() } else { told };
-        told.is_empty() || self.take_told(&told, sink)
-    }
-
-    fn call(&self) {
-        self.leader.wake().wake();
-    }
-}
-
 impl Link for UdpLink {
     fn ready(&self, next: NodeId) -> bool {
         let Some((_, peer)) = self.peer(next) else { return false };
@@ -424,6 +403,15 @@ impl Link for UdpLink {
     fn evidence(&self) -> Vec<(&'static str, u64)> {
         let evidence = UdpCount::ALL.iter().filter(|count| !UdpCount::FAILURES.contains(count));
         evidence.map(|&count| (count.name(), self.statistics.get(count))).collect()
+    }
+
+    fn goodbye(&self) {
+        self.say_goodbye();
+    }
+
+    fn health(&self) -> Vec<LinkReport> {
+        let now = self.micros(Instant::now());
+        self.peers.iter().map(|peer| peer.report(now)).collect()
     }
 
     fn leading(&self) -> Option<&dyn Leading> {

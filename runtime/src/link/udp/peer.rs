@@ -1,12 +1,16 @@
 //! The state that a node keeps for each neighbour with which it communicates over UDP.
 
 use super::delay::DRIFT_PPM;
+use super::health::Health;
 use super::inbound::Inbound;
+use super::integrity::Progress;
 use super::keys::Channel;
 use super::session::Known;
 use super::socket::set_segment;
+use crate::lock::lock;
 use imrs_protocol::{Incarnation, NodeId, Ticks};
-use imrs_wire::envelope::{Datagram, Digests, Echo, Refused, Session, supersedes};
+use imrs_wire::envelope::{Datagram, Digests, Echo, Envelope, Refused, Session, supersedes};
+use imrs_wire::obs::LinkReport;
 use std::net::{SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicU16, Ordering};
 use std::sync::{Arc, Mutex};
@@ -31,6 +35,8 @@ pub(super) struct Peer {
     pub(super) heard: Mutex<Option<Heard>>,
     /// Whether any datagram of the neighbour was accepted since its address was set.
     pub(super) met: AtomicBool,
+    /// Whether the neighbour has said goodbye in its present session.
+    pub(super) has_stopped: AtomicBool,
     /// The newest incarnation of the neighbour that was seen in its envelopes, or in packets that other nodes relayed.
     /// [`NOTHING`] before any was seen.
     remembered: AtomicU16,
@@ -42,6 +48,7 @@ pub(super) struct Peer {
     /// Whether `refusal` has a value.
     pub(super) is_refused: AtomicBool,
     pub(super) pace: Mutex<Pace>,
+    pub(super) health: Health,
     /// The sessions with keys, if the link has keys. This lock is taken last, and never held while a datagram is sent
     /// or received.
     pub(super) channel: Mutex<Option<Channel>>,
@@ -53,6 +60,14 @@ pub(super) struct Outgoing {
     pub(super) counter: u64,
     /// Reusable datagrams: as many as ever left in one call.
     pub(super) datagrams: Vec<Datagram>,
+}
+
+impl Outgoing {
+    /// Uses up a counter.
+    pub(super) const fn next(&mut self) -> u64 {
+        self.counter += 1;
+        self.counter - 1
+    }
 }
 
 /// A neighbour with which this node cannot communicate.
@@ -135,13 +150,26 @@ impl Peer {
             outgoing: Mutex::default(),
             heard: Mutex::default(),
             met: AtomicBool::new(false),
+            has_stopped: AtomicBool::new(false),
             remembered: AtomicU16::new(NOTHING),
             remembers: Mutex::default(),
             refusal: Mutex::default(),
             is_refused: AtomicBool::new(false),
             pace: Mutex::default(),
+            health: Health::new(declared),
             channel: Mutex::default(),
         }
+    }
+
+    /// What this node knows of the link from the neighbour at the instant `now`.
+    pub(super) fn report(&self, now: u64) -> LinkReport {
+        let has_stopped = self.has_stopped.load(Ordering::Acquire);
+        LinkReport { has_stopped, ..self.health.report(self.node, now, self.progress()) }
+    }
+
+    /// How many of the neighbour's datagrams were accepted, and which counter comes next.
+    pub(super) fn progress(&self) -> Progress {
+        lock(&self.known).as_ref().map_or_else(Progress::default, Known::progress)
     }
 
     /// The newest incarnation of the neighbour that was seen.
@@ -169,6 +197,11 @@ pub(super) struct Heard {
 }
 
 impl Heard {
+    /// What a datagram that arrived at the instant `at` shows.
+    pub(super) const fn of(envelope: &Envelope, at: u64) -> Self {
+        Self { session: envelope.session, tx_mono: envelope.tx_mono, at }
+    }
+
     /// The least that the neighbour's clock shows when this node's clock shows `tx`. The time since the neighbour's
     /// last datagram is measured with a clock that may run faster than the neighbour's.
     pub(super) fn echo(&self, tx: u64) -> Option<Echo> {

@@ -19,6 +19,7 @@ use imrs_wire::envelope::{self, Envelope, Greeting, MAX_PACKETS, Opened, Purpose
 use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 /// After how many datagrams of one socket a poll turns to the other sockets, and to the other work of its thread.
@@ -190,8 +191,8 @@ impl UdpLink {
 }
 
 /// The datagrams that one receive call brought, before the instant `now`.
-struct Together<'a> {
-    link: &'a UdpLink,
+pub(super) struct Together<'a> {
+    pub(super) link: &'a UdpLink,
     /// The address of the neighbour from which they came, if the socket is connected to one.
     from: Option<SocketAddr>,
     now: Reading,
@@ -206,7 +207,7 @@ struct Together<'a> {
     greetings: u64,
     /// How many of the datagrams brought packets that the sink gets.
     admitted: u64,
-    sink: &'a dyn Sink,
+    pub(super) sink: &'a dyn Sink,
 }
 
 impl Together<'_> {
@@ -220,8 +221,8 @@ impl Together<'_> {
         for bytes in received.datagrams() {
             count += 1;
             if let Err(reason) = self.take(bytes) {
-                if let (LinkDiscard::Version, Some(from)) = (reason, self.from) {
-                    self.link.hint_at_version(from);
+                if let Some(from) = self.from {
+                    self.link.discarded_of(from, reason, &self.now);
                 }
                 self.sink.discarded(reason);
             }
@@ -263,6 +264,10 @@ impl Together<'_> {
             self.greeted(peer, (envelope, greeting), at, by);
             return Ok(());
         }
+        if envelope.purpose == Purpose::Goodbye {
+            self.greetings += 1;
+            return self.hears_goodbye(peer, envelope, at, by);
+        }
         if self.decoded.len() + opened.packets.len() > self.decoded.capacity() {
             self.hand_over();
         }
@@ -277,7 +282,7 @@ impl Together<'_> {
                 link.say(
                     peer,
                     Greeting { wants_answer: true, ..Greeting::default() },
-                    Some(heard(envelope, at)),
+                    Some(Heard::of(envelope, at)),
                 );
             }
             unheard.reason
@@ -319,7 +324,7 @@ impl Together<'_> {
     }
 
     /// Records what an accepted datagram says about its sender. Returns how long its hop took at most.
-    fn enter(
+    pub(super) fn enter(
         &mut self,
         peer: &Peer,
         known: &mut Option<Known>,
@@ -330,16 +335,19 @@ impl Together<'_> {
         if let Contact::New { restarted } = contact {
             link.statistics.add(UdpCount::NewIncarnations, 1);
             peer.remember(envelope.incarnation);
+            peer.has_stopped.store(false, Ordering::Release);
             self.sink.peer(peer.node, envelope.incarnation, restarted);
         }
         if contact == Contact::Resumed {
             link.statistics.add(UdpCount::CountersMended, 1);
         }
         link.met(peer);
-        *lock(&peer.heard) = Some(heard(envelope, at));
+        *lock(&peer.heard) = Some(Heard::of(envelope, at));
         let echo = link.own_echo(envelope);
         let known = admit(known, contact, envelope, (at, peer.declared));
-        known.delay.arrived(envelope.tx_mono, echo, at)
+        let hop = known.delay.arrived(envelope.tx_mono, echo, at);
+        peer.health.arrived(&hop, at);
+        hop.longest
     }
 
     /// Handles a greeting. A greeting changes the node's knowledge of its sender only if its echo proves when it was sent.
@@ -365,15 +373,18 @@ impl Together<'_> {
             self.hand_over();
             self.enter(peer, &mut known, (envelope, contact), at);
         }
+        if let Some(known) = known.as_mut().filter(|_| by.is_some()) {
+            known.has_greeted();
+        }
         drop(known);
         // A new neighbour must learn at once that this node listens. The answer echoes the clock of this greeting, so
         // the neighbour can prove that it receives from this node.
         if greeting.wants_answer || is_new {
-            link.say(peer, Greeting::default(), Some(heard(envelope, at)));
+            link.say(peer, Greeting::default(), Some(Heard::of(envelope, at)));
         }
     }
 
-    fn hand_over(&mut self) {
+    pub(super) fn hand_over(&mut self) {
         self.hand_over_first(self.decoded.len());
     }
 
@@ -385,9 +396,4 @@ impl Together<'_> {
         }
         self.decoded.drain(..count);
     }
-}
-
-/// The sender's clock, as a datagram shows it.
-const fn heard(envelope: &Envelope, at: u64) -> Heard {
-    Heard { session: envelope.session, tx_mono: envelope.tx_mono, at }
 }

@@ -73,6 +73,7 @@ impl UdpLink {
         purpose: Purpose,
     ) -> Envelope {
         let tx_mono = self.micros(at);
+        peer.health.sends(tx_mono);
         let (incarnation, restarted) = self.identity();
         Envelope {
             sender: self.table.node,

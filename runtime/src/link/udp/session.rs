@@ -13,6 +13,7 @@
 //! greatest counter has the greater counter in truth, whatever the earlier one showed.
 
 use super::delay::LinkDelay;
+use super::integrity::Progress;
 use crate::link::LinkDiscard;
 use imrs_protocol::{Incarnation, Ticks};
 use imrs_wire::envelope::{Envelope, Purpose, ReplayWindow, Session, supersedes};
@@ -27,7 +28,34 @@ pub(super) struct Known {
     newest_at: u64,
     /// When a datagram of the session was last accepted.
     last: u64,
+    /// How many datagrams of the session were accepted that have a counter of their own.
+    accepted: u64,
     pub(super) delay: LinkDelay,
+}
+
+impl Known {
+    /// How many datagrams were accepted, and which counter comes next.
+    pub(super) const fn progress(&self) -> Progress {
+        Progress { session: Some(self.session), next: self.window.next(), accepted: self.accepted }
+    }
+
+    /// Notes the goodbye with this counter.
+    ///
+    /// # Errors
+    /// Something newer of the session came before.
+    pub(super) fn ends(&mut self, counter: u64) -> Result<(), LinkDiscard> {
+        if !self.window.is_newest(counter) {
+            return Err(LinkDiscard::Replayed);
+        }
+        self.window.accept(counter);
+        self.accepted += 1;
+        Ok(())
+    }
+
+    /// Notes a greeting that keys have closed, so that it has a counter of its own.
+    pub(super) const fn has_greeted(&mut self) {
+        self.accepted += 1;
+    }
 }
 
 /// How an accepted datagram relates to the earlier datagrams of its sender.
@@ -97,10 +125,12 @@ pub(super) fn admit<'a>(
         window: ReplayWindow::new(),
         newest_at: at,
         last: at,
+        accepted: 0,
         delay: LinkDelay::new(declared),
     });
     known.last = at;
     if envelope.purpose == Purpose::Packets {
+        known.accepted += 1;
         if contact == Contact::Resumed {
             known.window.resume(envelope.counter);
             known.newest_at = at;

@@ -70,6 +70,10 @@ counts! {
     GreetingsSent = "greetings_sent",
     /// Greetings that arrived.
     GreetingsReceived = "greetings_received",
+    /// Goodbyes sent: each copy for each neighbour.
+    GoodbyesSent = "goodbyes_sent",
+    /// Neighbours that have said goodbye, once for each of their sessions.
+    GoodbyesReceived = "goodbyes_received",
     /// How often the node asked a neighbour for an echo, because the neighbour's session or counter could not be told from
     /// an old one.
     EchoesAsked = "echoes_asked",

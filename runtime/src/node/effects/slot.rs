@@ -28,6 +28,7 @@ const PACKET: u8 = 1;
 const TIME_OUT: u8 = 2;
 const UNSENT: u8 = 3;
 const RESTARTED: u8 = 4;
+const STOPPED: u8 = 5;
 
 /// The bits of a packet's flags.
 const COMMAND: u8 = 1;
@@ -61,6 +62,9 @@ impl Slotted for Addressed {
             &Input::PeerRestarted(NodeId(node)) => {
                 [bytes([RESTARTED, 0, 0, 0, 0, 0, 0, 0]), member | u64::from(node), at, 0, 0, 0]
             }
+            &Input::PeerStopped(NodeId(node)) => {
+                [bytes([STOPPED, 0, 0, 0, 0, 0, 0, 0]), member | u64::from(node), at, 0, 0, 0]
+            }
         })
     }
 
@@ -71,6 +75,7 @@ impl Slotted for Addressed {
             TIME_OUT => Input::TimeOut { id: TimeId(a), turn: b },
             UNSENT => Input::Unsent(id_of(words)),
             RESTARTED => Input::PeerRestarted(NodeId(half(words[1], 0))),
+            STOPPED => Input::PeerStopped(NodeId(half(words[1], 0))),
             _time => Input::Time,
         };
         Self { member: half(words[1], 3).into(), stamped: Stamped { at: words[2], input } }
@@ -187,6 +192,7 @@ mod tests {
             any::<[u8; 2]>().prop_map(|[id, turn]| Input::TimeOut { id: TimeId(id), turn }),
             id.prop_map(Input::Unsent),
             any::<u16>().prop_map(|node| Input::PeerRestarted(NodeId(node))),
+            any::<u16>().prop_map(|node| Input::PeerStopped(NodeId(node))),
         ]
     }
 

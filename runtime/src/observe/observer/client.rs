@@ -18,8 +18,6 @@ const IDLE: Duration = Duration::from_secs(5);
 const REQUESTS: usize = 16;
 /// The first version in which a monitor proves that it has the token, instead of sending the token.
 const PROOFS: Version = Version { major: 1, minor: 3 };
-/// The first version that reports which scripts are held back.
-const HELD_BACK: Version = Version { major: 1, minor: 2 };
 
 pub(super) struct Client {
     showing: Showing,
@@ -185,8 +183,7 @@ impl Client {
             }
             ClientFrame::Want(wanted) => {
                 let before = self.subscription();
-                let hears_held_back = self.version.minor >= HELD_BACK.minor;
-                self.subscribed(Subscription::new(wanted, before, &self.showing, now, hears_held_back));
+                self.subscribed(Subscription::new(wanted, before, &self.showing, now, self.version));
             }
             ClientFrame::Credit(more) => {
                 if let State::Subscribed(subscription) = &mut self.state {

@@ -6,7 +6,7 @@ use crate::observe::lateness::Seen;
 use crate::observe::snapshot::{Observations, QUEUE_LIMIT, Watching};
 use imrs_wire::obs::{
     Delta, EventFilter, Events, FrameError, FrameWriter, HeldBack, MAX_WATCHED, Places, ServerFrame,
-    Snapshot, Subscribe, Want,
+    Snapshot, Subscribe, Version, Want,
 };
 use std::io::Write;
 use std::time::{Duration, Instant};
@@ -21,6 +21,10 @@ const LEAST_VITALS: Duration = Duration::from_millis(100);
 const PLACES_PERIOD: Duration = Duration::from_secs(1);
 /// How often the held-back scripts are checked.
 const HELD_BACK_PERIOD: Duration = Duration::from_secs(1);
+/// The first version that reports which scripts are held back.
+const HELD_BACK: Version = Version { major: 1, minor: 2 };
+/// The first version that reports on links.
+const LINKS: Version = Version { major: 1, minor: 4 };
 /// How many events of one state machine are put into one frame, at most.
 const EVENT_ROOM: usize = 512;
 /// How many events are put into one frame, at most.
@@ -47,6 +51,7 @@ enum What {
     State,
     Events,
     Vitals,
+    Links,
 }
 
 impl What {
@@ -63,13 +68,17 @@ struct Following {
     filter: EventFilter,
 }
 
-/// The frames that versions 1.1 and 1.2 added.
+/// The frames that versions 1.1, 1.2 and 1.4 added.
 struct More {
     /// The last snapshot that the monitor got. The next changes are computed from it.
     told: Option<Snapshot>,
     /// Since when the frame about the watched queues is due.
     detail: Option<Instant>,
     vitals: Option<(Duration, Instant)>,
+    /// Whether the monitor understands reports of links.
+    hears_links: bool,
+    /// Since when the report of the links is due.
+    links: Option<Instant>,
     late: Seen,
     whole: Option<(Duration, Instant)>,
     places: (Places, Instant),
@@ -97,7 +106,7 @@ impl Subscription {
         before: Option<Self>,
         showing: &Showing,
         now: Instant,
-        hears_held_back: bool,
+        version: Version,
     ) -> Self {
         let (events, more, next) = match before {
             Some(before) => (before.events, before.more, before.next_snapshot),
@@ -114,7 +123,9 @@ impl Subscription {
             late: Seen::default(),
             whole: None,
             places: (Places::default(), now),
-            held_back: hears_held_back.then_some((false, now)),
+            held_back: (version.minor >= HELD_BACK.minor).then_some((false, now)),
+            hears_links: version.minor >= LINKS.minor,
+            links: None,
         });
         // A frame that is due stays due, however often the monitor subscribes anew.
         let at = more.vitals.map_or(now, |(_, at)| at.min(now));
@@ -140,7 +151,7 @@ impl Subscription {
     }
 
     /// For each kind of frame, when the next frame is due, if at all.
-    fn dues(&self) -> [(Option<Instant>, What); 6] {
+    fn dues(&self) -> [(Option<Instant>, What); 7] {
         let more = self.more.as_ref();
         [
             (more.map(|more| more.places.1), What::Places),
@@ -149,6 +160,7 @@ impl Subscription {
             (Some(self.next_snapshot), What::State),
             (self.events.as_ref().map(|events| events.next), What::Events),
             (more.and_then(|more| more.vitals).map(|(_, at)| at), What::Vitals),
+            (more.and_then(|more| more.links), What::Links),
         ]
     }
 
@@ -185,6 +197,7 @@ impl Subscription {
                 What::Detail => self.detail(showing),
                 What::Events => self.events(now),
                 What::Vitals => self.vitals(showing, now),
+                What::Links => self.links(showing),
             };
             if let Some(frame) = frame {
                 writer.push(&frame)?;
@@ -249,8 +262,15 @@ impl Subscription {
         let more = self.more.as_mut()?;
         let (every, at) = more.vitals.filter(|(_, at)| *at <= now)?;
         more.vitals = Some((every, at.max(now) + every));
+        more.links = more.hears_links.then_some(now);
         let recording = showing.recording.as_ref().and_then(|watch| watch());
         Some(ServerFrame::Vitals(showing.node.vitals(&mut more.late, recording)))
+    }
+
+    fn links(&mut self, showing: &Showing) -> Option<ServerFrame> {
+        self.more.as_mut()?.links.take()?;
+        let reports = showing.node.link_reports();
+        (!reports.links.is_empty()).then_some(ServerFrame::Links(reports))
     }
 
     fn places(&mut self, showing: &Showing, now: Instant) -> Option<ServerFrame> {

@@ -1,0 +1,252 @@
+//! The links in the summary of a run: delays against the declared bounds, damage, and datagrams that no node of the cell sent.
+
+use crate::words::{count, grouped, span};
+use imrs_protocol::{CellTable, NodeId, Ticks};
+use imrs_runtime::link::udp::{FAILURES, WINDOW};
+use imrs_wire::obs::{Delays, Integrity, LinkReport, Margin};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// One direction of a link, as the receiving node measured it.
+#[derive(Clone, Debug, Serialize)]
+pub struct LinkSummary {
+    /// The neighbour that sends.
+    pub from: String,
+    /// The declared bound of the link, in microseconds.
+    pub bound_us: u64,
+    /// How long the measured datagrams took. Each time is an upper bound, which round trips prove.
+    pub delay: Delays,
+    /// The same, of the end of the run.
+    pub recent: Delays,
+    /// The length of the end of the run, in microseconds.
+    pub recent_us: u64,
+    /// How many datagrams were not measured, because no exchange was recent enough.
+    pub unmeasured: u64,
+    /// How the delays of the run compare with the bound: `enough`, `near` or `exceeded`.
+    pub margin: &'static str,
+    /// What was damaged.
+    pub integrity: Integrity,
+    /// Whether the neighbour had said at the end that it stopped in order.
+    pub has_stopped: bool,
+}
+
+/// The datagrams that a node dropped, and that no node of the cell sent in this form.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct SecuritySummary {
+    /// Their number, by the reason of the drop.
+    pub events: BTreeMap<String, u64>,
+    /// In how many windows of ten seconds more than eight of them came.
+    pub alarms: u64,
+}
+
+/// The reasons for drops of datagrams that no node of the cell sent in this form: forged, repeated, with other keys, or from
+/// strangers. Datagrams of earlier sessions are missing here, because a restart leaves some.
+const SECURITY: [&str; 8] =
+    ["forged", "replayed", "other_keys", "not_imrs", "unknown_node", "too_short", "length", "checksum"];
+
+impl LinkSummary {
+    /// The summary of a report of the node `to`.
+    pub fn new(table: &CellTable, to: NodeId, report: &LinkReport) -> Self {
+        let bound = table.link_bound(to, report.peer).unwrap_or(Ticks::ZERO);
+        Self {
+            from: table.cell().nodes[report.peer.index()].name.clone(),
+            bound_us: bound.0,
+            delay: report.delay,
+            recent: report.recent,
+            recent_us: report.recent_us,
+            unmeasured: report.unmeasured,
+            margin: match report.delay.margin(bound) {
+                Margin::Enough => "enough",
+                Margin::Near => "near",
+                Margin::Exceeded => "exceeded",
+            },
+            integrity: report.integrity,
+            has_stopped: report.has_stopped,
+        }
+    }
+
+    /// What is wrong with the link to the node `to`, in words for people.
+    pub fn warnings(&self, to: &str) -> Vec<String> {
+        let Self { from, delay, integrity, .. } = self;
+        let (bound, p99) = (span(self.bound_us), span(delay.p99_us));
+        let mut words = Vec::new();
+        match self.margin {
+            "exceeded" => words.push(format!(
+                "link {from} -> {to}: {} of {} took longer than its declared {bound}, which the checks rely on",
+                delay.late,
+                count(delay.count, "datagram"),
+            )),
+            "near" => words.push(format!(
+                "link {from} -> {to}: 99 of 100 datagrams took at most {p99}, which comes near its declared {bound}"
+            )),
+            _ => {}
+        }
+        if integrity.faults > 0 {
+            words.push(fault_words(from, to, integrity));
+        }
+        words
+    }
+}
+
+/// That a link counts as faulty, in words.
+pub fn fault_words(from: &str, to: &str, integrity: &Integrity) -> String {
+    format!(
+        "link {from} -> {to} is faulty: {} came in, and what {from} sent is missing",
+        count(integrity.failures, "damaged datagram")
+    )
+}
+
+/// That datagrams came to a node that no node of the cell sent, in words.
+pub fn security_words(node: &str, security: &SecuritySummary) -> String {
+    let events = security.events.iter().map(|(name, n)| format!("{name} {}", grouped(*n)));
+    format!(
+        "node {node} dropped {} that no node of the cell sent so: {}",
+        count(security.total(), "datagram"),
+        events.collect::<Vec<_>>().join(", ")
+    )
+}
+
+/// Adds what a node reported of its links in a later incarnation. Percentiles are then those of the slower incarnation.
+pub fn join(sum: &mut Vec<LinkReport>, more: &[LinkReport]) {
+    for report in more {
+        match sum.iter_mut().find(|known| known.peer == report.peer) {
+            Some(known) => {
+                let (delay, integrity) = (known.delay, known.integrity);
+                let unmeasured = known.unmeasured + report.unmeasured;
+                *known = LinkReport { unmeasured, ..report.clone() };
+                known.delay.count += delay.count;
+                known.delay.late += delay.late;
+                known.delay.p50_us = known.delay.p50_us.max(delay.p50_us);
+                known.delay.p99_us = known.delay.p99_us.max(delay.p99_us);
+                known.delay.max_us = known.delay.max_us.max(delay.max_us);
+                known.integrity.failures += integrity.failures;
+                known.integrity.faults += integrity.faults;
+                known.integrity.unmatched += integrity.unmatched;
+            }
+            None => sum.push(report.clone()),
+        }
+    }
+}
+
+impl SecuritySummary {
+    /// The security events among the drops of a node's link.
+    pub fn new(link_discards: &BTreeMap<String, u64>, alarms: u64) -> Self {
+        let is_one = |(name, _): &(&String, &u64)| SECURITY.contains(&name.as_str());
+        let events = link_discards.iter().filter(is_one).map(|(name, n)| (name.clone(), *n)).collect();
+        Self { events, alarms }
+    }
+
+    /// The alarms, in words for people; `None` without any.
+    #[must_use]
+    pub fn warning(&self, node: &str) -> Option<String> {
+        (self.alarms > 0).then(|| security_words(node, self))
+    }
+
+    /// How many events there were.
+    #[must_use]
+    pub fn total(&self) -> u64 {
+        self.events.values().sum()
+    }
+}
+
+/// Finds the windows in which a node dropped more than [`FAILURES`] datagrams that no node of the cell sent.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Alarm {
+    begun: u64,
+    before: u64,
+    last: u64,
+    /// How often it was raised.
+    pub raised: u64,
+}
+
+impl Alarm {
+    /// Takes the counters of a node at an instant. Returns whether this raises the alarm.
+    pub fn take(&mut self, at: u64, link_discards: &BTreeMap<String, u64>) -> bool {
+        let now = SecuritySummary::new(link_discards, 0).total();
+        // The counters of another incarnation begin at zero.
+        self.before = if now < self.last { 0 } else { self.before };
+        if at.saturating_sub(self.begun) >= WINDOW {
+            (self.begun, self.before) = (at, self.last.min(now));
+        }
+        self.last = now;
+        let is_raised = now.saturating_sub(self.before) > FAILURES;
+        if is_raised {
+            // One alarm for each window.
+            self.before = u64::MAX;
+            self.raised += 1;
+        }
+        is_raised
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cells::tests::beam_lift;
+
+    fn report(count: u64, late: u64, p99_us: u64) -> LinkReport {
+        let delay = Delays { count, late, p50_us: 100, p99_us, max_us: p99_us };
+        LinkReport {
+            peer: NodeId(1),
+            delay,
+            recent: delay,
+            recent_us: 7_000_000,
+            unmeasured: 4,
+            integrity: Integrity::default(),
+            has_stopped: false,
+        }
+    }
+
+    #[test]
+    fn a_link_is_compared_with_its_declared_bound() {
+        let loaded = beam_lift();
+        let bound = loaded.table.link_bound(NodeId(0), NodeId(1)).unwrap().0;
+        let told = |report: &LinkReport| {
+            let summary = LinkSummary::new(&loaded.table, NodeId(0), report);
+            (summary.margin, summary.warnings("nl").join("\n"))
+        };
+        assert_eq!(told(&report(500, 5, bound / 2)), ("enough", String::new()));
+        let (margin, words) = told(&report(500, 5, bound));
+        assert!(
+            margin == "near" && words.contains("link nr -> nl") && words.contains("comes near"),
+            "{words}"
+        );
+        let (margin, words) = told(&report(500, 6, bound));
+        assert!(margin == "exceeded" && words.contains("6 of 500 datagrams"), "{words}");
+        let faulty = Integrity { failures: 12, is_faulty: false, faults: 1, unmatched: 0 };
+        let (_, words) = told(&LinkReport { integrity: faulty, ..report(0, 0, 0) });
+        assert_eq!(
+            words,
+            "link nr -> nl is faulty: 12 damaged datagrams came in, and what nr sent is missing"
+        );
+    }
+
+    #[test]
+    fn incarnations_of_a_node_add_up() {
+        let mut sum = Vec::new();
+        let faults = Integrity { failures: 9, is_faulty: true, faults: 1, unmatched: 0 };
+        join(&mut sum, &[LinkReport { integrity: faults, ..report(10, 1, 900) }]);
+        join(&mut sum, &[report(30, 0, 400), LinkReport { peer: NodeId(2), ..report(1, 0, 7) }]);
+        assert_eq!(sum[0].delay, Delays { count: 40, late: 1, p50_us: 100, p99_us: 900, max_us: 900 });
+        assert_eq!(sum[0].integrity, Integrity { is_faulty: false, ..faults });
+        assert_eq!((sum[0].unmeasured, sum[1].delay.count), (8, 1));
+    }
+
+    #[test]
+    fn an_alarm_is_raised_once_in_a_window_and_not_by_what_a_restart_leaves() {
+        let drops = |name: &str, n| BTreeMap::from([(name.to_owned(), n)]);
+        let mut alarm = Alarm::default();
+        assert!(!alarm.take(1, &drops("forged", FAILURES)));
+        assert!(alarm.take(2, &drops("forged", FAILURES + 1)));
+        assert!(!alarm.take(3, &drops("forged", 900)), "in the same window");
+        assert!(!alarm.take(WINDOW + 3, &drops("forged", 900)), "no more came");
+        assert!(alarm.take(WINDOW + 4, &drops("forged", 909)));
+        assert_eq!(alarm.raised, 2);
+        let mut alarm = Alarm::default();
+        assert!(!alarm.take(1, &drops("stale_session", 1_000)));
+        assert!(!alarm.take(2, &drops("forged", 7)) && !alarm.take(3, &drops("forged", 5)), "a restart");
+        // Some events in every window are no alarm.
+        let mut alarm = Alarm::default();
+        assert!((1..100).all(|n| !alarm.take(n * WINDOW, &drops("replayed", n * FAILURES))));
+    }
+}

@@ -1,0 +1,148 @@
+//! Tests of what nodes report of their links: delays against the declared bounds, and faulty links.
+
+use crate::common::{Stage, codes, ms, snapshot};
+use imrs_monitor::report;
+use imrs_monitor::theme::Theme;
+use imrs_protocol::NodeId;
+use imrs_wire::obs::{Delays, Integrity, LinkReport, LinkReports, LinkView, ServerFrame};
+use serde_json::Value;
+
+/// The declared bound of the link between the arms' nodes, in microseconds.
+fn bound(stage: &Stage) -> u64 {
+    let incarnation = &stage.app.store().incarnations()[0];
+    let names = &incarnation.names;
+    let link = names.links.iter().find(|link| (link.a, link.b) == (NodeId(0), NodeId(1))).expect("a link");
+    link.delay.0 * incarnation.tick_us
+}
+
+/// Node `nr` reports on its link from `nl`: the recent delays, and the damage.
+fn reports(stage: &mut Stage, at: u64, recent: Delays, integrity: Integrity) {
+    let link = LinkReport {
+        peer: NodeId(0),
+        delay: Delays { count: recent.count + 1_000, ..recent },
+        recent,
+        recent_us: 6_000_000,
+        unmeasured: 17,
+        integrity,
+        has_stopped: false,
+    };
+    let state = snapshot(1);
+    let heard = LinkView { peer: NodeId(0), heard_us: Some(20), sent: 4, received: 9 };
+    stage.frame(ms(at), 1, ServerFrame::Snapshot(imrs_wire::obs::Snapshot { links: vec![heard], ..state }));
+    stage.frame(ms(at), 1, ServerFrame::Links(LinkReports { mono_us: 5_000, links: vec![link] }));
+}
+
+fn delays(count: u64, late: u64, p99_us: u64) -> Delays {
+    Delays { count, late, p50_us: 90, p99_us, max_us: p99_us }
+}
+
+/// The codes about links, and the row of links on the first screen.
+fn shown(stage: &mut Stage, at: u64) -> (Vec<&'static str>, String) {
+    let codes =
+        codes(stage.app.store(), ms(at)).into_iter().filter(|code| code.starts_with("link-")).collect();
+    let screen = stage.typed(ms(at), (120, 40), "1");
+    let row = screen.lines().find(|line| line.contains(" links ")).expect("the links");
+    (codes, row.to_owned())
+}
+
+#[test]
+fn a_delay_is_shown_beside_its_bound_and_warned_of_when_it_comes_near() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    let bound = bound(&stage);
+    let cases = [
+        (delays(500, 0, bound / 2), None),
+        (delays(19, 19, 9 * bound), None),
+        (delays(500, 0, bound), Some("link-near-bound")),
+        (delays(500, 5, 2 * bound), Some("link-near-bound")),
+        (delays(500, 6, 2 * bound), Some("link-late")),
+    ];
+    for (at, (recent, code)) in (2_000..).step_by(100).zip(cases) {
+        reports(&mut stage, at, recent, Integrity::default());
+        let (codes, row) = shown(&mut stage, at);
+        assert_eq!(codes, Vec::from_iter(code), "{recent:?}");
+        let words = format!("nl-nr ok {}/{}", span(recent.p99_us), span(bound));
+        assert!(row.contains(&words), "{words}: {row}");
+    }
+    // What was reported long ago is not shown any more.
+    let (codes, row) = shown(&mut stage, 6_000);
+    assert!(codes.is_empty() && !row.contains('/'), "{row}");
+}
+
+fn span(us: u64) -> String {
+    imrs_monitor::clock::Span::micros(us).to_string()
+}
+
+#[test]
+fn a_faulty_link_is_a_finding_a_word_beside_the_link_and_one_line_of_the_journal() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    let integrity = Integrity { failures: 12, is_faulty: true, faults: 1, unmatched: 0 };
+    reports(&mut stage, 2_000, delays(0, 0, 0), Integrity { failures: 12, ..Integrity::default() });
+    assert_eq!(shown(&mut stage, 2_000).0, [""; 0], "not declared");
+    for at in [2_100, 2_200] {
+        reports(&mut stage, at, delays(0, 0, 0), integrity);
+        let (codes, row) = shown(&mut stage, at);
+        assert_eq!(codes, ["link-faulty"]);
+        assert!(row.contains("nl-nr FAULTY"), "{row}");
+    }
+    reports(&mut stage, 2_300, delays(0, 0, 0), Integrity { is_faulty: false, ..integrity });
+    assert_eq!(shown(&mut stage, 2_300).0, [""; 0], "it is well again");
+    let lines = stage.app.store().journal().lines(false, "");
+    assert_eq!(lines.iter().filter(|line| line.kind() == "link faulty").count(), 1);
+}
+
+#[test]
+fn a_node_that_a_neighbour_saw_stop_is_not_dead_and_not_missing() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    stage.lose(ms(2_000), 0);
+    assert!(codes(stage.app.store(), ms(2_100)).contains(&"node-dead"));
+    reports(&mut stage, 2_100, delays(0, 0, 0), Integrity::default());
+    assert!(codes(stage.app.store(), ms(2_100)).contains(&"node-dead"), "nl said no goodbye");
+    let link = LinkReport {
+        peer: NodeId(0),
+        delay: Delays::default(),
+        recent: Delays::default(),
+        recent_us: 6_000_000,
+        unmeasured: 0,
+        integrity: Integrity::default(),
+        has_stopped: true,
+    };
+    let frame = ServerFrame::Links(LinkReports { mono_us: 5_000, links: vec![link] });
+    stage.frame(ms(2_200), 1, frame.clone());
+    assert!(!codes(stage.app.store(), ms(2_200)).contains(&"node-dead"));
+    assert!(shown(&mut stage, 2_200).1.contains("nl-nr STOPPED"));
+    // A monitor that came later has never seen the node.
+    let mut stage = Stage::new(Theme::ASCII);
+    stage.attach(ms(1_000), 1, 1);
+    stage.attach(ms(1_000), 2, 1);
+    let missing = |stage: &Stage| codes(stage.app.store(), ms(1_200)).contains(&"node-missing");
+    assert!(missing(&stage));
+    stage.frame(ms(1_100), 1, frame);
+    assert!(!missing(&stage));
+}
+
+#[test]
+fn the_json_has_every_measured_link() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    let bound = bound(&stage);
+    let integrity = Integrity { failures: 3, is_faulty: false, faults: 0, unmatched: 1 };
+    reports(&mut stage, 2_000, delays(500, 1, bound), integrity);
+    let json: Value = serde_json::from_str(&report::json(stage.app.store(), None, ms(2_000))).expect("JSON");
+    let node = |name: &str| {
+        json["nodes"]
+            .as_array()
+            .expect("nodes")
+            .iter()
+            .find(|node| node["name"] == name)
+            .expect("a node")
+            .clone()
+    };
+    let link = &node("nr")["links"][0];
+    assert_eq!(
+        (&link["from"], &link["bound_us"], &link["margin"]),
+        (&"nl".into(), &bound.into(), &"near".into())
+    );
+    assert_eq!(link["recent"]["p99_us"], bound);
+    assert_eq!((&link["delay"]["count"], &link["delay"]["late"]), (&1_500.into(), &1.into()));
+    assert_eq!((&link["unmeasured"], &link["integrity"]["unmatched"]), (&17.into(), &1.into()));
+    assert_eq!(node("nl")["links"], Value::Array(Vec::new()), "it has reported none");
+}
