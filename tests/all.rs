@@ -21,6 +21,7 @@ mod guide;
 mod hostile;
 mod kept_out;
 mod monitor;
+mod network;
 mod observe;
 mod path_of_the_model;
 mod planted;
