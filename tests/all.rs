@@ -22,6 +22,7 @@ mod hostile;
 mod kept_out;
 mod link_health;
 mod monitor;
+mod network;
 mod observe;
 mod path_of_the_model;
 mod planted;

@@ -3,10 +3,10 @@
 //! are `examples/actuator.rs`, which this test program itself runs.
 
 mod fault;
-mod freezer;
+pub mod freezer;
 mod tally;
-mod tool;
-mod trial;
+pub mod tool;
+pub mod trial;
 
 use crate::support::{Said, bound, excused, finish, is_here, runtime_dir};
 use fault::FAULTS;

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 /// The cell of the trials: two welders that share a tool. The lease is long, so that it rarely ends before the fault,
 /// even on a busy machine.
-const CELL: &str = "\
+pub const CELL: &str = "\
 cell two_owners;
 tick 1 msec;
 node n1 at \"HOST\" port N1;  node n2 at \"HOST\" port N2;

@@ -1,0 +1,155 @@
+//! What the recordings of a run show about its messages, apart from the model: each recording is replayed through its
+//! own state machines, and the times of all nodes are compared on the one clock of this machine.
+
+use imrs_launch::cells::{self, Loaded};
+use imrs_launch::checks::ReplaySampler;
+use imrs_protocol::script::ScriptInput;
+use imrs_protocol::{Call, Class, Delivery, Kind, MessageId, NodeTable, Outcome, Signal, TaskId};
+use imrs_runtime::record::{Happened, Happening, RecordingReader, Replay, Turn, replay_scripts};
+use imrs_runtime::script::Watch;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// A message: its sender, and its id.
+type Key = (TaskId, u8, u32);
+
+/// What recordings show about messages.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Messages {
+    /// Commands that left their sender.
+    pub commands: u64,
+    /// Commands that their receiver began to carry out.
+    pub executed: u64,
+    /// Commands that were carried out more than once.
+    pub twice: u64,
+    /// Statuses that were delivered.
+    pub delivered: u64,
+    /// Statuses that were delivered more than once.
+    pub delivered_twice: u64,
+    /// Messages of either class that were delivered after their sender's time_out.
+    pub stale: u64,
+    /// Commands whose sender learned the outcome more than a tick after the time_out.
+    pub overdue: u64,
+    /// The most by which an outcome came after the time_out, in microseconds.
+    pub overdue_us: u64,
+}
+
+/// The end of a message's time_out, in microseconds of the machine's clock, and its class.
+type Sent = BTreeMap<Key, (u64, Class)>;
+
+/// What recordings show.
+pub struct Evidence {
+    pub messages: Messages,
+    /// When tasks learned the outcomes of their commands, in microseconds of the machine's clock, and whether each was an
+    /// answer. The times rise.
+    outcomes: Vec<(u64, bool)>,
+}
+
+/// Reads recordings. Of a recording with a gap nothing is known, and it adds nothing.
+pub fn evidence(cell: &Path, files: &[PathBuf]) -> Evidence {
+    let (_, loaded) = cells::open(cell, false).expect("a cell");
+    let tasks: Vec<Vec<Happening>> = files.iter().flat_map(|file| happenings(&loaded, file)).collect();
+    let mut sent = Sent::new();
+    for happening in tasks.iter().flatten() {
+        if let Happened::Sent(packet) = &happening.what
+            && matches!(packet.kind, Kind::Send | Kind::Query)
+        {
+            let key = key(packet.source, packet.id);
+            sent.entry(key).or_insert((happening.at + packet.remaining.0, packet.class));
+        }
+    }
+    let is_command = |(_, class): &&(u64, Class)| *class == Class::Command;
+    let mut found =
+        Messages { commands: sent.values().filter(is_command).count() as u64, ..Messages::default() };
+    let mut taken: BTreeMap<Key, u64> = BTreeMap::new();
+    for happening in tasks.iter().flatten() {
+        if let Some(delivery) = delivery(&happening.what) {
+            found.take(&sent, delivery, happening.at);
+            *taken.entry(key(delivery.from.source, delivery.from.id)).or_default() += 1;
+        }
+    }
+    for (key, times) in taken.into_iter().filter(|(_, times)| *times > 1) {
+        match sent.get(&key) {
+            Some((_, Class::Status)) => found.delivered_twice += times - 1,
+            _ => found.twice += times - 1,
+        }
+    }
+    let tick = loaded.table.cell().tick.0;
+    let mut outcomes: Vec<_> = tasks.iter().flat_map(|task| found.outcomes(task, tick)).collect();
+    outcomes.sort_unstable();
+    Evidence { messages: found, outcomes }
+}
+
+impl Evidence {
+    /// How long after this instant a task first learned that a command was answered, or was not, in microseconds.
+    pub fn first(&self, is_answer: bool, since: u64) -> Option<u64> {
+        let is_so = |(at, answered): &&(u64, bool)| *at >= since && *answered == is_answer;
+        self.outcomes.iter().find(is_so).map(|(at, _)| at - since)
+    }
+}
+
+impl Messages {
+    fn take(&mut self, sent: &Sent, delivery: &Delivery, at: u64) {
+        match delivery.class {
+            Class::Command => self.executed += 1,
+            Class::Status => self.delivered += 1,
+        }
+        // The recording of the sender may be missing, or cut off.
+        let end = sent.get(&key(delivery.from.source, delivery.from.id));
+        self.stale += u64::from(end.is_some_and(|(end, _)| at > *end));
+    }
+
+    /// Looks when a task learned the outcomes of its commands, one after the other, and whether each was an answer.
+    fn outcomes(&mut self, task: &[Happening], tick: u64) -> Vec<(u64, bool)> {
+        let (mut end, mut outcomes) = (None, Vec::new());
+        for happening in task {
+            match &happening.what {
+                Happened::Sent(packet)
+                    if matches!(packet.kind, Kind::Send | Kind::Query)
+                        && packet.class == Class::Command
+                        && !packet.resent =>
+                {
+                    end.get_or_insert(happening.at + packet.remaining.0);
+                }
+                Happened::Turn(Turn { input: ScriptInput::Signal(Signal::Outcome(outcome)), .. }) => {
+                    outcomes.push((happening.at, matches!(outcome, Outcome::Reply(_))));
+                    let after = end.take().map_or(0, |end: u64| happening.at.saturating_sub(end));
+                    self.overdue += u64::from(after > tick);
+                    self.overdue_us = self.overdue_us.max(after);
+                }
+                _ => {}
+            }
+        }
+        outcomes
+    }
+}
+
+fn key(source: TaskId, id: MessageId) -> Key {
+    (source, id.incarnation.0, id.sequence.get())
+}
+
+fn delivery(what: &Happened) -> Option<&Delivery> {
+    let Happened::Turn(turn) = what else { return None };
+    match &turn.input {
+        ScriptInput::Signal(Signal::Message(delivery) | Signal::Interrupt(Call::Message(delivery))) => {
+            Some(delivery)
+        }
+        _ => None,
+    }
+}
+
+/// What happened to each task of a node, according to its recording.
+fn happenings(loaded: &Loaded, file: &Path) -> Vec<Vec<Happening>> {
+    let opened = File::open(file).unwrap_or_else(|error| panic!("{}: {error}", file.display()));
+    let mut reader = RecordingReader::new(BufReader::new(opened)).expect("a recording");
+    let node = reader.header().node.expect("of a node");
+    let table = NodeTable::new(Arc::clone(&loaded.table), node);
+    // The replays keep what happened if something watches them.
+    let watch: Arc<dyn Watch> = Arc::new(ReplaySampler::new(loaded));
+    let replays = replay_scripts(&mut reader, &table, |task| loaded.program(task), Some(&watch));
+    let replays = replays.unwrap_or_else(|error| panic!("{}: {error}", file.display()));
+    replays.into_iter().filter_map(Replay::happened).collect()
+}

@@ -1,0 +1,103 @@
+//! Faults of a network between several hosts: network namespaces at a switch in this process, whose faults replay from a
+//! seed. Real nodes with keys run on them, and `imrs replay --model` judges their recordings.
+
+mod bounds;
+mod cells;
+mod evidence;
+mod frames;
+mod hosts;
+mod net;
+mod overload;
+mod pair;
+mod scenes;
+mod switch;
+mod trial;
+
+use crate::support::bound;
+use hosts::{Hosts, are_possible};
+use pair::PAIR;
+use scenes::{SCENES, Scene};
+use std::net::UdpSocket;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+use trial::{Trial, Trials, row};
+
+#[test]
+fn datagrams_pass_from_host_to_host_as_the_switch_decides() {
+    if !are_possible() {
+        return;
+    }
+    let hosts = Hosts::new(3, 1);
+    let socket = |host| {
+        let socket = hosts.on(host, || UdpSocket::bind((Hosts::address(host), cells::PORT)));
+        let socket = socket.expect("a socket");
+        socket.set_read_timeout(Some(Duration::from_secs(60))).expect("a time");
+        socket
+    };
+    let [a, b] = [socket(0), socket(1)];
+    let mut room = [0; 64];
+    for number in 0..5_u8 {
+        a.send_to(&[number], b.local_addr().expect("its address")).expect("it leaves");
+        assert_eq!(b.recv_from(&mut room).expect("it comes"), (1, a.local_addr().expect("its address")));
+        assert_eq!(room[0], number);
+    }
+    assert_eq!(hosts.counts().datagrams, 5, "no noise is counted");
+    // In the other direction everything passes.
+    hosts.cut(0, 1);
+    a.send_to(b"cut", b.local_addr().expect("its address")).expect("it leaves");
+    b.send_to(b"back", a.local_addr().expect("its address")).expect("it leaves");
+    assert_eq!(a.recv(&mut room).expect("it comes"), 4);
+    hosts.heal();
+    a.send_to(b"healed", b.local_addr().expect("its address")).expect("it leaves");
+    assert_eq!(b.recv(&mut room).expect("it comes"), 6);
+    assert_eq!((hosts.counts().cut, hosts.counts().datagrams), (1, 8));
+}
+
+/// How many trials run at the same time. Trials mostly wait, so there can be more of them than processors.
+const ABREAST: usize = 6;
+
+/// Runs trials of all scenes that are not done yet, several at a time.
+fn carry_out(scenes: &[&Scene], count: u64, trials: &Trials) {
+    let plans: Vec<(&Scene, u64)> = (0..count)
+        .flat_map(|number| scenes.iter().map(move |scene| (*scene, number)))
+        .filter(|(scene, number)| !trials.has(scene.name, *number))
+        .collect();
+    let next = AtomicUsize::new(0);
+    thread::scope(|scope| {
+        for _ in 0..ABREAST {
+            scope.spawn(|| {
+                while let Some((scene, number)) = plans.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    let begin = Instant::now();
+                    let trial = (scene.run)(*number);
+                    println!(
+                        "{:>6.1} s {}, trial {number}: {}",
+                        begin.elapsed().as_secs_f64(),
+                        scene.name,
+                        trial.model
+                    );
+                    trials.add(Trial { scene: scene.name.into(), number: *number, ..trial });
+                }
+            });
+        }
+    });
+}
+
+#[test]
+fn faults_between_hosts_have_the_outcomes_that_they_must_have() {
+    if !are_possible() {
+        return;
+    }
+    // `.ci/long` runs many trials of each scene.
+    let count = bound("IMRS_TRIALS", 1);
+    let only = std::env::var("IMRS_SCENE").unwrap_or_default();
+    let scenes: Vec<&Scene> = SCENES.iter().chain(&PAIR).filter(|scene| scene.name.contains(&only)).collect();
+    let trials = Trials::open(std::env::var_os("IMRS_TRIALS_DONE").map(Into::into));
+    carry_out(&scenes, count, &trials);
+    let trials = trials.finish();
+    for scene in &scenes {
+        let of_scene: Vec<&Trial> = trials.iter().filter(|trial| trial.scene == scene.name).collect();
+        assert_eq!(of_scene.len() as u64, count, "{}", scene.name);
+        println!("| {} | {} |", scene.name, row(&of_scene, scene.took));
+    }
+}

@@ -1,0 +1,235 @@
+//! A cell that runs on hosts, one node on each, as on separate machines.
+
+use super::evidence::{Evidence, evidence};
+use super::hosts::Hosts;
+use crate::support::live::Seen;
+use crate::support::program::Program;
+use crate::support::{Said, imrs, is_alive, replays, run_in, runtime_dir, signal, wait_until};
+use rustix::process::Signal;
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use tempfile::TempDir;
+
+/// The nodes of a cell on hosts.
+pub struct Net {
+    nodes: Vec<Up>,
+    pub hosts: Hosts,
+    pub cell: PathBuf,
+    /// The names of the cell's nodes; each has the host of its number.
+    names: &'static [&'static str],
+    /// How often each node was started.
+    starts: Vec<usize>,
+    /// The recordings of all starts, with their hosts.
+    recordings: Vec<(usize, PathBuf)>,
+    /// What is done to the recordings of a host before they are judged.
+    prepare: Option<(usize, Prepare)>,
+    pub dir: TempDir,
+}
+
+/// Changes a recording.
+type Prepare = fn(&Path);
+
+/// A running node.
+struct Up {
+    host: usize,
+    program: Option<Program>,
+    /// The process of the node; that of `program` is its launcher.
+    pid: u32,
+}
+
+impl Drop for Up {
+    fn drop(&mut self) {
+        // A stopped process does not notice that its launcher is gone.
+        signal(self.pid, Signal::KILL);
+    }
+}
+
+/// How a node is started.
+#[derive(Clone, Debug, Default)]
+pub struct How {
+    /// A command that runs the node's command, with its first arguments.
+    pub under: Vec<String>,
+    /// Further arguments of the node's command.
+    pub args: Vec<String>,
+    /// The cell file, if it is not that of the others.
+    pub cell: Option<PathBuf>,
+    /// The file for the recording, if it is first written elsewhere.
+    pub record: Option<PathBuf>,
+    pub is_unrecorded: bool,
+}
+
+/// The end of a run.
+pub struct Ended {
+    /// What each start of a node said, with its summary as the last line, in the order of the starts' ends.
+    pub said: Vec<(usize, Said)>,
+    pub evidence: Evidence,
+    /// What `imrs replay --model` said of all recordings together.
+    pub model: Value,
+    /// The folder of the run, which is removed with this value.
+    _dir: TempDir,
+}
+
+impl Net {
+    /// Makes hosts for the nodes of a cell, and keys for the nodes. Starts nothing.
+    pub fn new(text: &str, names: &'static [&'static str], seed: u64) -> Self {
+        let dir = runtime_dir();
+        let cell = dir.path().join("own.cell");
+        std::fs::write(&cell, text).expect("the cell is written");
+        let net = Self {
+            nodes: Vec::new(),
+            hosts: Hosts::new(names.len(), seed),
+            cell,
+            names,
+            starts: vec![0; names.len()],
+            recordings: Vec::new(),
+            prepare: None,
+            dir,
+        };
+        let made = run_in(net.dir.path(), &["keygen", net.cell()]);
+        assert_eq!(made.code, Some(0), "{made:?}");
+        net
+    }
+
+    /// The cell of a run of all nodes.
+    pub fn started(text: &str, names: &'static [&'static str], seed: u64) -> Self {
+        let mut net = Self::new(text, names, seed);
+        net.start_all(&How::default());
+        net
+    }
+
+    pub fn start_all(&mut self, how: &How) {
+        // `a`, whose commands are counted, begins last.
+        let programs: Vec<_> =
+            (0..self.names.len()).rev().map(|host| (host, self.launch(host, how))).collect();
+        programs.into_iter().for_each(|(host, program)| self.add(host, program));
+    }
+
+    /// Starts the node of this host, and waits until it runs.
+    pub fn start(&mut self, host: usize, how: &How) {
+        let program = self.launch(host, how);
+        self.add(host, program);
+    }
+
+    fn cell(&self) -> &str {
+        self.cell.to_str().expect("UTF-8")
+    }
+
+    fn launch(&mut self, host: usize, how: &How) -> Program {
+        self.starts[host] += 1;
+        let name = self.names[host];
+        let record = self.dir.path().join(format!("start-{}.imrs", self.starts[host]));
+        let own = record.with_extension(format!("{name}.imrs"));
+        let record = how.record.clone().unwrap_or(record);
+        let keys = self.cell.with_extension("keys");
+        let cell = how.cell.as_ref().unwrap_or(&self.cell);
+        let [cell, keys, record] = [cell, &keys, &record].map(|path| path.to_str().expect("UTF-8"));
+        let args = ["run", cell, "--node", name, "--keys", keys, "--for", "10m", "--format", "json"];
+        let more: Vec<&str> = how.args.iter().map(String::as_str).collect();
+        let recorded = if how.is_unrecorded { &[][..] } else { &["--record", record] };
+        let plain = imrs(self.dir.path(), &[&args[..], recorded, &more[..]].concat());
+        if !how.is_unrecorded {
+            self.recordings.push((host, own));
+        }
+        let command = match how.under.split_first() {
+            None => plain,
+            Some((program, first)) => {
+                let mut command = Command::new(program);
+                command.args(first).arg(plain.get_program()).args(plain.get_args());
+                command.envs(plain.get_envs().filter_map(|(name, value)| Some((name, value?))));
+                command
+            }
+        };
+        self.hosts.on(host, || Program::start(command))
+    }
+
+    fn add(&mut self, host: usize, mut program: Program) {
+        let started = program.json();
+        let pid = started["started"][0]["pid"].as_u64().and_then(|pid| u32::try_from(pid).ok());
+        let pid = pid.unwrap_or_else(|| panic!("no node started: {started}"));
+        self.nodes.push(Up { host, program: Some(program), pid });
+    }
+
+    /// The process of the node on this host.
+    pub fn pid(&self, host: usize) -> u32 {
+        self.nodes.iter().rev().find(|node| node.host == host).expect("it runs").pid
+    }
+
+    /// Kills the node on this host and its launcher, as a power cut does.
+    pub fn kill(&mut self, host: usize) {
+        let at = self.nodes.iter().position(|node| node.host == host).expect("it runs");
+        let node = self.nodes.remove(at);
+        node.program.iter().for_each(|launcher| signal(launcher.pid(), Signal::KILL));
+        signal(node.pid, Signal::KILL);
+        // Its threads end one by one, and the last one gives up the port and the lock of its state.
+        let threads = || std::fs::read_dir(format!("/proc/{}/task", node.pid)).map_or(0, Iterator::count);
+        wait_until("the node is gone", || !is_alive(node.pid) && threads() <= 1);
+    }
+
+    /// Stops the node on this host in order, and returns what it said.
+    pub fn stop(&mut self, host: usize) -> Said {
+        let at = self.nodes.iter().position(|node| node.host == host).expect("it runs");
+        let node = self.nodes.remove(at);
+        node.interrupt();
+        node.finish()
+    }
+
+    /// Waits until a monitor's sample of the nodes is as it should be.
+    pub fn until(&self, what: &str, is_so: impl FnMut(&Value) -> bool) -> Value {
+        Seen::by_monitor(self.dir.path()).until(what, is_so)
+    }
+
+    /// Changes the recordings of a host before they are judged.
+    pub fn before_judging(&mut self, host: usize, prepare: Prepare) {
+        self.prepare = Some((host, prepare));
+    }
+
+    /// Stops all nodes, and judges all recordings.
+    pub fn finish(mut self) -> Ended {
+        let nodes = std::mem::take(&mut self.nodes);
+        nodes.iter().for_each(|node| node.interrupt());
+        let said: Vec<(usize, Said)> = nodes.into_iter().map(|node| (node.host, node.finish())).collect();
+        let recordings = std::mem::take(&mut self.recordings);
+        if let Some((host, prepare)) = self.prepare {
+            recordings.iter().filter(|(of, _)| *of == host).for_each(|(_, file)| prepare(file));
+        }
+        let files: Vec<PathBuf> = recordings.into_iter().map(|(_, file)| file).collect();
+        let model = self.model(&files);
+        for number in 1..=*self.starts.iter().max().expect("hosts") {
+            replays(
+                self.dir.path(),
+                &self.dir.path().join(format!("start-{number}.imrs")),
+                Some(self.cell()),
+            );
+        }
+        Ended { said, evidence: evidence(&self.cell, &files), model, _dir: self.dir }
+    }
+
+    /// What `imrs replay --model` says of these recordings.
+    fn model(&self, files: &[PathBuf]) -> Value {
+        let files: Vec<&str> = files.iter().map(|file| file.to_str().expect("UTF-8")).collect();
+        let told = |within: &str| {
+            let how = ["--cell", self.cell(), "--model", "--within", within, "--format", "json"];
+            let said = run_in(self.dir.path(), &[&["replay"], &files[..], &how[..]].concat());
+            assert!(matches!(said.code, Some(0 | 1 | 4 | 5)), "{said:?}");
+            said.last_json()
+        };
+        // The time is also that of random walks, which say nothing about these runs.
+        let first = told("1s");
+        if first["ended_by"].is_null() { first } else { told("60s") }
+    }
+}
+
+impl Up {
+    /// Ends the node in the normal way. The process that the test started may be one that runs the launcher.
+    fn interrupt(&self) {
+        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.pid)).unwrap_or_default();
+        let parent = stat.rsplit_once(')').and_then(|(_, rest)| rest.split_whitespace().nth(1)?.parse().ok());
+        parent.into_iter().for_each(|launcher| signal(launcher, Signal::INT));
+    }
+
+    /// Waits for the end of the node. A second interrupt would make the launcher wait no longer for it.
+    fn finish(mut self) -> Said {
+        self.program.take().expect("a program").finish()
+    }
+}
