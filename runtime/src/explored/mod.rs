@@ -7,7 +7,9 @@
 //! A scene returns its outcome. Each test asserts the whole set of outcomes, and has twin tests in which a planted bug must
 //! be found. An exploration that sees only one outcome, or misses the bug, proves nothing.
 
+mod bundles;
 mod combining;
+mod domain;
 mod futures;
 mod handoff;
 mod inbox;

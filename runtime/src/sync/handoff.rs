@@ -92,12 +92,14 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
             inputs.clear();
         }
         while let Some(input) = inputs.pop_front() {
-            if let Err(mut input) = self.leave(input) {
+            if let Err(mut input) = self.leave(input)
+                && !self.has(Plant::DropsWhenFull)
+            {
                 self.work(lock(&self.core), std::iter::once(&mut input).chain(inputs.iter_mut()), effects);
                 inputs.clear();
             }
         }
-        if !self.waiting.takes(false) {
+        if !self.waiting.takes(false) && !self.has(Plant::LeavesItsBundle) {
             self.second_look(effects);
         }
     }
@@ -318,9 +320,15 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         S::Input: 'a,
     {
         let had_completion = core.completion.is_some();
-        self.drain(&mut core, effects);
+        let overtakes = self.has(Plant::Overtakes);
+        if !overtakes {
+            self.drain(&mut core, effects);
+        }
         for input in inputs {
             core.feed(input, effects);
+        }
+        if overtakes {
+            self.drain(&mut core, effects);
         }
         core.protected.work_inside(effects);
         let new_completion = !had_completion && core.completion.is_some();

@@ -46,6 +46,10 @@ pub(crate) enum Plant {
     NoFence,
     /// Input is dropped if the lock is taken and the inbox is full.
     DropsWhenFull,
+    /// A thread that left inputs of a bundle does not check whether the lock was released meanwhile.
+    LeavesItsBundle,
+    /// The lock's holder processes what it brings before what was left.
+    Overtakes,
     /// A thread that has spun goes to sleep without checking the word again.
     SleepsBlindly,
     /// A thread that left input that may not wait does not check whether the task's thread spins.
