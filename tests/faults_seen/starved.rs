@@ -17,7 +17,7 @@ const LONG: Duration = Duration::from_millis(250);
 /// The waiting times of the nodes' observer threads.
 #[derive(Default)]
 pub struct Starved {
-    /// For each node, its observer thread.
+    /// For each node, the thread of its process that serves monitors.
     threads: BTreeMap<String, Thread>,
     /// The timing of a stub node.
     pub stub: Option<Beat>,

@@ -151,8 +151,8 @@ pub fn trial(plan: &Plan) -> Trial {
     let view = View { tool: dir.path(), owner, at: now() };
     let struck = plan.fault.strike(live.pid(node));
     let (struck_by, is_killed) = (now(), plan.fault.node == Fate::Killed);
-    // The old command is not limited, and should act at the same time as the new one. Either of them may have to wait
-    // for a processor.
+    // If neither a deadline nor a gate stops the old owner's command, it should act at the same time as the new owner's
+    // command. Either of them may have to wait for a processor.
     let may_be_two = plan.bound == Bound::Neither && plan.fault.lets_the_command_go_on();
     let least = if plan.bound == Bound::Neither { STEPS } else { 1 };
     let is_seen = || !may_be_two || !struck.holds_a_guard() || two_owners(&log_of(dir.path())) > 0;

@@ -204,7 +204,7 @@ struct Walk<'a> {
     apart: Option<&'a Apart>,
     moves: Vec<CellMove>,
     /// Whether a restarted node is farther behind the rounds of the others than packed states can say. Then the walk and
-    /// its twin behave alike, but with different round numbers.
+    /// the walk of the packed and unpacked copy beside it behave alike, but with different round numbers.
     far: bool,
     /// Whether kept states may cover the walk's states in a way that a look-up cannot find.
     unlisted: bool,

@@ -52,7 +52,8 @@ enum Known {
     No,
     /// A kept state covers this state: the kept state allows all moves that this state allows.
     Covered(Mark),
-    /// The state is one of those on a chain that are kept. The second value is its packed form.
+    /// The search keeps this state, though it lies on a chain: a row of states of which each has one successor only. The
+    /// second value is its packed form.
     Post(Mark, Box<[u8]>),
 }
 

@@ -15,7 +15,8 @@ use super::{Action, World, small};
 use crate::scenario::Watch;
 
 impl World {
-    /// Whether the reduction by turns is on.
+    /// Whether the search lets the nodes take turns: of steps at different nodes that do not influence each other it explores
+    /// one order only.
     pub(super) fn takes_turns(&self) -> bool {
         // The property `Stale` depends on what another node knows when a message is handed over, so for this property the
         // order of steps matters.

@@ -37,7 +37,7 @@ pub struct Service {
     pub outlook: Outlook,
     /// The number of kept service times, at most 256.
     pub samples: usize,
-    /// The share of each source, ascending.
+    /// For each source, in the order of the tasks, its share of the messages of this port.
     pub by_source: Vec<(TaskId, Share)>,
     /// How many messages were queued in recent samples, oldest first.
     pub fill: Vec<u16>,

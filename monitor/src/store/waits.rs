@@ -197,7 +197,8 @@ fn busy(store: &Store, names: &Names, incarnations: &[&NodeIncarnation], now: Mo
     let tick_us = incarnations.iter().map(|l| l.tick_us).max().unwrap_or(1);
     let link_us = names.links.iter().map(|l| l.delay.0.saturating_mul(tick_us)).max().unwrap_or(0);
     let settled = PERIOD.saturating_add(Duration::from_micros(link_us.saturating_mul(3)));
-    // The report of a suspended or late node may be old, so the time is counted from the oldest report of any node.
+    // What a task sent arrives, and is reported, within `settled`. The report of a suspended or late node may be old, so
+    // this interval ends with the oldest of the nodes' reports, and not now.
     let heard = incarnations.iter().map(|incarnation| incarnation.heard).min().unwrap_or(now);
     let since = heard.saturating_sub(settled);
     let acts = |seen: &Seen| {

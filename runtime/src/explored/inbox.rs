@@ -1,4 +1,5 @@
-//! Scenes of the inbox of a hand-off, in which several threads bring input at once, fill it, or leave input in it.
+//! Scenes of the inbox in which threads leave input for the thread that runs a communication task: several threads bring
+//! input at once, fill the inbox, or leave input in it.
 
 use super::handoff::{Brought, Got, Toy, bring, toy};
 use super::{DEADLOCK, must_fail, must_fail_large};

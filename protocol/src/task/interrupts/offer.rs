@@ -15,7 +15,7 @@ pub(crate) struct Offer {
 /// The first part of the key of an offer, which counts before rank and urgency.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Turn {
-    /// A call of the lease: the task has lost its lease, or takes over (D61).
+    /// A change of the task's lease interrupts it: it has lost the lease, or takes over (D61).
     Lease,
     /// A capped message, which was rejected as often as ranks stand above it. The message with the earliest first rejection
     /// goes first (D58).

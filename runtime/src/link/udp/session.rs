@@ -197,8 +197,8 @@ mod tests {
 
     #[test]
     fn a_dead_session_takes_nothing_over() {
-        // The first session heard from this node until the instant 400, and then ended. This node accepts datagrams of
-        // the next session from 600 on.
+        // In the peer's first session, its newest datagram had heard from this node at the instant 400. Then the session
+        // ended. Datagrams of the peer's next session are accepted from the instant 600 on.
         let known = heard(&[(1, 3, 9, 410), (2, 4, 0, 600)]);
         for sent_after in [None, Some(0), Some(400), Some(599)] {
             let reason = judged(&known, &envelope(1, 3, 10), sent_after).unwrap_err().reason;

@@ -41,7 +41,8 @@ pub struct Delta {
     /// [`Snapshot::mono_us`](super::Snapshot::mono_us) of the snapshot to which the delta applies. `None` if the delta
     /// is whole, and replaces any snapshot.
     pub base_us: Option<u64>,
-    /// The time between the two samples, in microseconds; for a whole delta, the time since the origin of the clock.
+    /// The time between the sample before and this one, in microseconds. A delta that holds the whole state has no sample
+    /// before it: then this is the time since the origin of the clock.
     pub passed_us: u64,
     /// The fields of the node itself, if they changed.
     pub node: Option<NodeFacts>,

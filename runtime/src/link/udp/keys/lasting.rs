@@ -81,7 +81,7 @@ fn a_greeting_is_repeated_until_the_neighbour_uses_the_session() {
     assert_eq!(ends[0].greeting(now + 60_000 * MS), None, "only who has asked for the session greets");
 }
 
-/// Each makes a session, and each does its part in its own one first.
+/// Each end initiates a session, so there are two, and each end completes the handshake of its own session first.
 #[test]
 fn two_that_ask_at_once_hear_each_other_for_as_long_as_they_run() {
     let mut ends = ends(&keys());
