@@ -65,10 +65,10 @@ fn the_summary_has_the_delays_of_each_link_beside_its_bound() {
     assert!(said.out.contains(" of 50.0 ms"), "{said:?}");
 }
 
-/// Damages every fourth datagram that passes.
+/// Damages every third datagram that passes. Those of the two nodes may come in turns, so an even number would spare one node.
 fn damage(bytes: &mut [u8]) {
     static PASSED: AtomicUsize = AtomicUsize::new(0);
-    if PASSED.fetch_add(1, Ordering::Relaxed) % 4 == 3
+    if PASSED.fetch_add(1, Ordering::Relaxed) % 3 == 2
         && let Some(last) = bytes.last_mut()
     {
         *last ^= 1;
