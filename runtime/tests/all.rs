@@ -4,6 +4,7 @@
 mod actuator;
 mod busy;
 mod common;
+mod computing;
 mod corruption;
 mod domains;
 mod futures;
