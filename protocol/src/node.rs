@@ -46,6 +46,8 @@ pub enum NodeInput {
     },
     /// Another node, neighbour or not, has a new incarnation.
     PeerRestarted(NodeId),
+    /// A packet of this task's command never left the node, although the node gave it to its link.
+    Unsent(TaskId, MessageId),
 }
 
 /// Where the effects of a node go.
@@ -184,6 +186,7 @@ impl Node {
             NodeInput::Time => self.pass(now, out),
             NodeInput::Request(task, request) => self.hand_to(task, &Input::Request(request), out),
             NodeInput::Packet { from, packet, charge } => self.arrive(from, packet, charge, out),
+            NodeInput::Unsent(task, id) => self.work.push_back(Work::Task(task, Input::Unsent(id))),
             NodeInput::PeerRestarted(node) => {
                 for i in 0..self.parts.tasks.len() {
                     let task = self.parts.tasks[i].task();

@@ -158,7 +158,8 @@ impl<'t> Replay<'t> {
         match entry.step.input {
             Input::Packet(packet) => heard.note(Happened::Came(packet)),
             Input::PeerRestarted(node) => heard.note(Happened::PeerRestarted(node)),
-            Input::Time | Input::TimeOut { .. } | Input::Unsent(_) => heard.note(Happened::Time),
+            Input::Unsent(id) => heard.note(Happened::Unsent(id)),
+            Input::Time | Input::TimeOut { .. } => heard.note(Happened::Time),
             Input::Request(_) => {}
         }
         let mut out = Digesting { digest: Some(&mut self.digest), out: &mut heard };

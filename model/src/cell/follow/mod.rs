@@ -268,6 +268,7 @@ impl Follower {
             Happened::Time | Happened::PeerRestarted(_) => {
                 self.let_time_show(task, node, (now, counted), group)?;
             }
+            Happened::Unsent(id) => self.unsent(task, node, id)?,
             Happened::Came(packet) => self.packet(task, node, (now, counted), packet)?,
             Happened::Acted(level, ok, value) => {
                 self.quiet(task, "its action ends")?;
