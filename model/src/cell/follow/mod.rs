@@ -131,8 +131,7 @@ pub(super) enum Stop {
     Stuck(Unexplained),
 }
 
-/// The inputs of a task, each with what the task's script did with it. Inputs that are only passing time, and have no
-/// effect, are left out.
+/// The inputs of a task, each with what the task's script did with it; without those that are only passing time.
 fn groups(run_state: &RunState, run: &Run, task: usize) -> Vec<Group> {
     let mut groups: Vec<Group> = Vec::new();
     let here = run_state.cell.node_state_of(task);
