@@ -155,6 +155,16 @@ fn the_trace_leads_from_each_rule_to_its_scenarios() {
     assert!(found == table, "the scenarios of specs/paper-trace.md are others than those of specs/protocol");
 }
 
+/// Asserts that a file has a test of this name; `entry` is both, as documents name it.
+fn is_test(entry: &str) {
+    let (path, item) = entry.split_once("::").expect("a file and a name");
+    let source = read(path);
+    let at = source.find(&format!("fn {item}(")).unwrap_or_else(|| panic!("{entry} is no function"));
+    let before = source[..at].trim_end();
+    let mut attributes = before.lines().rev().map(str::trim).take_while(|line| line.starts_with(['#', '/']));
+    assert!(attributes.any(|line| line == "#[test]"), "{entry} is no test");
+}
+
 #[test]
 fn tests_of_the_trace_are_tests() {
     let text = read("specs/paper-trace.md");
@@ -163,18 +173,21 @@ fn tests_of_the_trace_are_tests() {
         let column = row.split('|').nth(3).expect("four columns");
         for entry in quoted(column) {
             let (path, item) = entry.split_once("::").expect("a file and a name");
-            let source = read(path);
             if path.ends_with(".md") {
-                assert!(scenario(&source, item).is_some(), "{entry} is carried out by nothing");
-                continue;
+                assert!(scenario(&read(path), item).is_some(), "{entry} is carried out by nothing");
+            } else {
+                is_test(entry);
             }
-            let at = source.find(&format!("fn {item}(")).unwrap_or_else(|| panic!("{entry} is no function"));
-            let before = source[..at].trim_end();
-            let mut attributes =
-                before.lines().rev().map(str::trim).take_while(|line| line.starts_with(['#', '/']));
-            assert!(attributes.any(|line| line == "#[test]"), "{entry} is no test");
         }
     }
+}
+
+#[test]
+fn tests_of_the_faults_are_tests() {
+    let text = read("specs/faults.md");
+    let entries: Vec<&str> = quoted(&text).into_iter().filter(|entry| entry.contains(".rs::")).collect();
+    assert!(entries.len() > 30, "only {} tests were found", entries.len());
+    entries.into_iter().for_each(is_test);
 }
 
 #[test]

@@ -1,7 +1,6 @@
 //! A node (§5.1, D38): its communication tasks, one transit buffer, one Timer, and the demultiplexing between them.
 //!
-//! Single-threaded drivers call [`Node::step`]; the threaded runtime takes a node apart and puts the parts behind
-//! several locks. Both call the same pure functions of [`route`](crate::route).
+//! Single-threaded drivers call [`Node::step`]; the threaded runtime takes a node apart. Both use [`route`](crate::route).
 
 mod fused;
 #[cfg(feature = "checker")]
@@ -46,6 +45,8 @@ pub enum NodeInput {
     },
     /// Another node, neighbour or not, has a new incarnation.
     PeerRestarted(NodeId),
+    /// A packet of this task's command never left the node, although the node gave it to its link.
+    Unsent(TaskId, MessageId),
 }
 
 /// Where the effects of a node go.
@@ -144,8 +145,7 @@ impl Node {
                 self.step(now, NodeInput::Time, out);
             }
             if self.fuse(*task, request, out) {
-                // The packets of a fused step never come to the transit buffer, but a link may by now take packets that
-                // wait there.
+                // A fused step's packets never wait in the transit buffer, but a link may now take others that do.
                 if !self.parts.transit.is_empty() {
                     self.flush(out);
                 }
@@ -174,8 +174,7 @@ impl Node {
         }
     }
 
-    /// Takes one input and leaves its effects within the node pending, for a checker that interleaves them (see `orders`, D39).
-    /// Time passes for all parts at once.
+    /// As [`step`](Self::step), but leaves the effects pending for a checker (`orders`, D39). Time passes for all parts at once.
     pub fn begin(&mut self, now: Instant, input: NodeInput, out: &mut impl NodeOutbox) {
         if now > self.now && input != NodeInput::Time {
             self.step(now, NodeInput::Time, out);
@@ -184,6 +183,7 @@ impl Node {
             NodeInput::Time => self.pass(now, out),
             NodeInput::Request(task, request) => self.hand_to(task, &Input::Request(request), out),
             NodeInput::Packet { from, packet, charge } => self.arrive(from, packet, charge, out),
+            NodeInput::Unsent(task, id) => self.work.push_back(Work::Task(task, Input::Unsent(id))),
             NodeInput::PeerRestarted(node) => {
                 for i in 0..self.parts.tasks.len() {
                     let task = self.parts.tasks[i].task();

@@ -211,6 +211,19 @@ fn a_late_node_still_knows_that_a_command_never_left() {
     assert_eq!(net.heard(X), ["TimedOutUnsent"]);
 }
 
+/// The link took the packet, so the node does not know by itself that the packet never left.
+#[test]
+fn a_command_that_its_link_never_sent_has_not_run() {
+    for (reports, outcome) in [(0, "TimedOutUnknown"), (1, "TimedOutUnsent")] {
+        let mut net = VirtualCell::new(cell());
+        net.ask(X, send(MOVE, Z, 1));
+        let id = MessageId::default();
+        (0..reports).for_each(|_| net.step(N0, NodeInput::Unsent(X, id)));
+        net.pass(N0, 500);
+        assert_eq!(net.heard(X), [outcome]);
+    }
+}
+
 #[test]
 fn news_of_a_restart_reaches_every_task_of_a_node() {
     let mut net = VirtualCell::new(cell());

@@ -5,7 +5,7 @@
 //! several equal packets is matched with the last of them that was sent before it.
 
 use imrs_model::cell::{Happened, Happening};
-use imrs_protocol::{CellTable, NodeId, Packet, Ticks};
+use imrs_protocol::{CellTable, Kind, NodeId, Packet, Ticks};
 use std::collections::{BTreeMap, HashMap};
 
 /// A packet that was sent this shortly before the end of the run may still be in flight, in microseconds. A packet that
@@ -86,10 +86,12 @@ pub fn named(packet: &Packet) -> Packet {
 /// The packets between nodes, without those by which a stopping node withdraws its tasks from their waits.
 fn packets(tasks: &[Vec<Happening>], table: &CellTable) -> Vec<((NodeId, NodeId), Alike)> {
     let mut all: HashMap<Packet, Alike> = HashMap::new();
+    let mut unsent = Vec::new();
     for task in tasks {
         let runs = task.iter().take_while(|happening| happening.what != Happened::Stopped);
-        for Happening { at, what, .. } in runs {
+        for Happening { at, what, task } in runs {
             match what {
+                Happened::Unsent(id) => unsent.push((*task, *id, *at)),
                 Happened::Sent(packet) => {
                     let ends = [packet.source, packet.destination].map(|task| table.location(task));
                     let bound = ends[0].zip(ends[1]).and_then(|(from, to)| table.path_bound(from, to));
@@ -101,6 +103,15 @@ fn packets(tasks: &[Vec<Happening>], table: &CellTable) -> Vec<((NodeId, NodeId)
                 _ => {}
             }
         }
+    }
+    for (task, id, at) in unsent {
+        let of_it = all.iter_mut().filter(|(packet, _)| {
+            packet.source == task && packet.id == id && matches!(packet.kind, Kind::Send | Kind::Query)
+        });
+        // The link did not lose a packet that never left its node.
+        let sent =
+            of_it.flat_map(|(_, alike)| &mut alike.sent).filter(|(sent, leaves)| *leaves && *sent <= at);
+        sent.max_by_key(|(sent, _)| *sent).into_iter().for_each(|(_, leaves)| *leaves = false);
     }
     let between = |(packet, alike): (Packet, Alike)| {
         let ends = table.location(packet.source).zip(table.location(packet.destination));

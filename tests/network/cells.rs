@@ -5,8 +5,8 @@ use super::hosts::Hosts;
 /// The UDP port of each node.
 pub const PORT: u16 = 7_000;
 
-/// A cell of three tasks that meet, and exchange queries and statuses. `b` counts the questions that it has answered
-/// before, and `a` the wrong answers.
+/// A cell of three tasks that meet, and exchange queries and statuses. `b` counts the questions that it gets twice in
+/// turn, and `a` the wrong answers. Each start of `a` asks other questions, so that an answer to an earlier start is wrong.
 const TALK: &str = "\
 cell hosts;
 tick 10 msec;
@@ -18,6 +18,7 @@ task a on na
   port meet()  usage = waitfor  user_list = {b, c}  time_out = 1 sec  class = 2  retry = 5  resend = 50 msec;
   var n, got, wrong: int32;
 begin
+  run draw -> n in 1..1000000 takes 1 msec;
   loop
     n := n + 1;
     query ask(n) -> got on time_out do got := n + 1; end on refused do got := n + 1; end;
@@ -34,7 +35,7 @@ task b on nb
 begin
   order ask > self;
   on query ask(n) do
-    if n <= did then again := again + 1; end;
+    if n = did then again := again + 1; end;
     did := n;
     response(n + 1);
   end;

@@ -7,7 +7,7 @@ use imrs_protocol::script::ScriptInput;
 use imrs_protocol::{Call, Class, Delivery, Kind, MessageId, NodeTable, Outcome, Signal, TaskId};
 use imrs_runtime::record::{Happened, Happening, RecordingReader, Replay, Turn, replay_scripts};
 use imrs_runtime::script::Watch;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -37,8 +37,9 @@ pub struct Messages {
     pub overdue_us: u64,
 }
 
-/// The end of a message's time_out, in microseconds of the machine's clock, and its class.
-type Sent = BTreeMap<Key, (u64, Class)>;
+/// For each message, when it was first sent, the end of its time_out, and its class; in microseconds of the machine's
+/// clock. A task that has lost its state may use an id again.
+type Sent = BTreeMap<Key, BTreeMap<u64, (u64, Class)>>;
 
 /// What recordings show.
 pub struct Evidence {
@@ -56,25 +57,19 @@ pub fn evidence(cell: &Path, files: &[PathBuf]) -> Evidence {
     for happening in tasks.iter().flatten() {
         if let Happened::Sent(packet) = &happening.what
             && matches!(packet.kind, Kind::Send | Kind::Query)
+            && !packet.resent
         {
-            let key = key(packet.source, packet.id);
-            sent.entry(key).or_insert((happening.at + packet.remaining.0, packet.class));
+            let first = (happening.at + packet.remaining.0, packet.class);
+            sent.entry(key(packet.source, packet.id)).or_default().insert(happening.at, first);
         }
     }
     let is_command = |(_, class): &&(u64, Class)| *class == Class::Command;
-    let mut found =
-        Messages { commands: sent.values().filter(is_command).count() as u64, ..Messages::default() };
-    let mut taken: BTreeMap<Key, u64> = BTreeMap::new();
+    let commands = sent.values().flat_map(BTreeMap::values).filter(is_command).count() as u64;
+    let mut found = Messages { commands, ..Messages::default() };
+    let mut taken = BTreeSet::new();
     for happening in tasks.iter().flatten() {
         if let Some(delivery) = delivery(&happening.what) {
-            found.take(&sent, delivery, happening.at);
-            *taken.entry(key(delivery.from.source, delivery.from.id)).or_default() += 1;
-        }
-    }
-    for (key, times) in taken.into_iter().filter(|(_, times)| *times > 1) {
-        match sent.get(&key) {
-            Some((_, Class::Status)) => found.delivered_twice += times - 1,
-            _ => found.twice += times - 1,
+            found.take(&sent, &mut taken, delivery, happening.at);
         }
     }
     let tick = loaded.table.cell().tick.0;
@@ -92,14 +87,19 @@ impl Evidence {
 }
 
 impl Messages {
-    fn take(&mut self, sent: &Sent, delivery: &Delivery, at: u64) {
-        match delivery.class {
-            Class::Command => self.executed += 1,
-            Class::Status => self.delivered += 1,
-        }
+    /// Counts a delivery at this instant. `taken` has all messages that were delivered before.
+    fn take(&mut self, sent: &Sent, taken: &mut BTreeSet<(Key, u64)>, delivery: &Delivery, at: u64) {
+        let key = key(delivery.from.source, delivery.from.id);
         // The recording of the sender may be missing, or cut off.
-        let end = sent.get(&key(delivery.from.source, delivery.from.id));
-        self.stale += u64::from(end.is_some_and(|(end, _)| at > *end));
+        let first = sent.get(&key).and_then(|all| all.range(..=at).next_back());
+        let again = u64::from(!taken.insert((key, first.map_or(0, |(sent_at, _)| *sent_at))));
+        match delivery.class {
+            Class::Command => (self.executed, self.twice) = (self.executed + 1, self.twice + again),
+            Class::Status => {
+                (self.delivered, self.delivered_twice) = (self.delivered + 1, self.delivered_twice + again);
+            }
+        }
+        self.stale += u64::from(first.is_some_and(|(_, (end, _))| at > *end));
     }
 
     /// Looks when a task learned the outcomes of its commands, one after the other, and whether each was an answer.

@@ -10,6 +10,7 @@ mod net;
 mod overload;
 mod pair;
 mod scenes;
+mod starts;
 mod switch;
 mod trial;
 
@@ -17,7 +18,9 @@ use crate::support::bound;
 use hosts::{Hosts, are_possible};
 use pair::PAIR;
 use scenes::{SCENES, Scene};
+use starts::STARTS;
 use std::net::UdpSocket;
+use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -91,13 +94,30 @@ fn faults_between_hosts_have_the_outcomes_that_they_must_have() {
     // `.ci/long` runs many trials of each scene.
     let count = bound("IMRS_TRIALS", 1);
     let only = std::env::var("IMRS_SCENE").unwrap_or_default();
-    let scenes: Vec<&Scene> = SCENES.iter().chain(&PAIR).filter(|scene| scene.name.contains(&only)).collect();
+    let scenes: Vec<&Scene> =
+        SCENES.iter().chain(&STARTS).chain(&PAIR).filter(|scene| scene.name.contains(&only)).collect();
     let trials = Trials::open(std::env::var_os("IMRS_TRIALS_DONE").map(Into::into));
     carry_out(&scenes, count, &trials);
     let trials = trials.finish();
+    let mut rows = String::from("| scene | figures |\n|---|---|\n");
     for scene in &scenes {
         let of_scene: Vec<&Trial> = trials.iter().filter(|trial| trial.scene == scene.name).collect();
         assert_eq!(of_scene.len() as u64, count, "{}", scene.name);
-        println!("| {} | {} |", scene.name, row(&of_scene, scene.took));
+        rows += &format!("| {} | {} |\n", scene.name, row(&of_scene, scene.took));
     }
+    print!("{rows}");
+    println!("total: {}", row(&trials.iter().collect::<Vec<_>>(), ""));
+    if only.is_empty() && std::env::var_os("IMRS_BLESS").is_some_and(|value| value == "1") {
+        write_rows(&rows);
+    }
+}
+
+/// Writes the rows of all scenes into the page about faults.
+fn write_rows(rows: &str) {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("specs/faults.md");
+    let text = std::fs::read_to_string(&page).expect("the page");
+    let (before, _) = text.split_once("| scene |").expect("the rows of the scenes");
+    let after = text.rsplit_once("<!-- end of the scenes -->").expect("their end").1;
+    std::fs::write(page, format!("{before}{rows}\n<!-- end of the scenes -->{after}"))
+        .expect("the page is written");
 }

@@ -22,6 +22,8 @@ pub struct Net {
     starts: Vec<usize>,
     /// The recordings of all starts, with their hosts.
     recordings: Vec<(usize, PathBuf)>,
+    /// Why the model cannot follow the recordings, if it is known beforehand.
+    pub not_followed: Option<&'static str>,
     /// What is done to the recordings of a host before they are judged.
     prepare: Option<(usize, Prepare)>,
     pub dir: TempDir,
@@ -57,6 +59,8 @@ pub struct How {
     /// The file for the recording, if it is first written elsewhere.
     pub record: Option<PathBuf>,
     pub is_unrecorded: bool,
+    /// Whether the node prints text instead of JSON.
+    pub is_text: bool,
 }
 
 /// The end of a run.
@@ -83,6 +87,7 @@ impl Net {
             names,
             starts: vec![0; names.len()],
             recordings: Vec::new(),
+            not_followed: None,
             prepare: None,
             dir,
         };
@@ -115,7 +120,8 @@ impl Net {
         self.cell.to_str().expect("UTF-8")
     }
 
-    fn launch(&mut self, host: usize, how: &How) -> Program {
+    /// Starts the node of this host, and reads nothing from it.
+    pub fn launch(&mut self, host: usize, how: &How) -> Program {
         self.starts[host] += 1;
         let name = self.names[host];
         let record = self.dir.path().join(format!("start-{}.imrs", self.starts[host]));
@@ -124,7 +130,8 @@ impl Net {
         let keys = self.cell.with_extension("keys");
         let cell = how.cell.as_ref().unwrap_or(&self.cell);
         let [cell, keys, record] = [cell, &keys, &record].map(|path| path.to_str().expect("UTF-8"));
-        let args = ["run", cell, "--node", name, "--keys", keys, "--for", "10m", "--format", "json"];
+        let format = if how.is_text { "text" } else { "json" };
+        let args = ["run", cell, "--node", name, "--keys", keys, "--for", "10m", "--format", format];
         let more: Vec<&str> = how.args.iter().map(String::as_str).collect();
         let recorded = if how.is_unrecorded { &[][..] } else { &["--record", record] };
         let plain = imrs(self.dir.path(), &[&args[..], recorded, &more[..]].concat());
@@ -194,7 +201,10 @@ impl Net {
             recordings.iter().filter(|(of, _)| *of == host).for_each(|(_, file)| prepare(file));
         }
         let files: Vec<PathBuf> = recordings.into_iter().map(|(_, file)| file).collect();
-        let model = self.model(&files);
+        let model = match self.not_followed {
+            Some(why) => serde_json::json!({ "unknown": why }),
+            None => self.model(&files),
+        };
         for number in 1..=*self.starts.iter().max().expect("hosts") {
             replays(
                 self.dir.path(),
@@ -203,6 +213,14 @@ impl Net {
             );
         }
         Ended { said, evidence: evidence(&self.cell, &files), model, _dir: self.dir }
+    }
+
+    /// Replays all recordings, each by itself.
+    pub fn replay(&self) {
+        for number in 1..=*self.starts.iter().max().expect("hosts") {
+            let file = self.dir.path().join(format!("start-{number}.imrs"));
+            replays(self.dir.path(), &file, Some(self.cell()));
+        }
     }
 
     /// What `imrs replay --model` says of these recordings.

@@ -150,7 +150,7 @@ fn commands_go_on_beside_ten_times_too_many_statuses() {
     });
     for load in [&normal, &flooded] {
         println!(
-            "{:.1} times what the link carries, for {:.0} s: {} of {} commands answered (unanswered {}), {} of {} pictures shown, memory + {} kB; dropped {}",
+            "total: {:.1} times what the link carries, for {:.0} s: {} of {} commands answered (unanswered {}), {} of {} pictures shown, memory + {} kB; dropped {}",
             load.overload(),
             load.seconds,
             load.answered,

@@ -1,18 +1,15 @@
 //! The scenes of the cell in which three tasks talk: each has one fault, and goes on until the tasks talk as before.
 
 use super::cells::talk;
-use super::hosts::Hosts;
 use super::net::{Ended, How, Net};
 use super::switch::Faults;
 use super::trial::Trial;
 use crate::support::live::{figure, released};
-use crate::support::{Said, number, signal, tape, wait_until};
+use crate::support::{Said, signal, wait_until};
 use crate::two_owners::freezer::Freezer;
 use imrs_runtime::actuator::now;
-use imrs_wire::recording::{Record, ScriptStep};
 use rustix::fs::statvfs;
 use rustix::process::Signal;
-use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
@@ -31,14 +28,14 @@ pub struct Scene {
     pub run: fn(u64) -> Trial,
 }
 
-const fn scene(name: &'static str, took: &'static str, run: fn(u64) -> Trial) -> Scene {
+pub const fn scene(name: &'static str, took: &'static str, run: fn(u64) -> Trial) -> Scene {
     Scene { name, took, run }
 }
 
-const ANSWERED: &str = "from the end of the fault to the next answer";
+pub const ANSWERED: &str = "from the end of the fault to the next answer";
 
-/// The scenes of this file.
-pub const SCENES: [Scene; 17] = [
+/// The scenes of this file: faults of links, of a node that goes on, and of its disk.
+pub const SCENES: [Scene; 13] = [
     scene("a third of the datagrams is lost", "", lossy),
     scene("half of the datagrams come twice", "", doubled),
     scene("half of the datagrams are overtaken", "", overtaken),
@@ -51,22 +48,18 @@ pub const SCENES: [Scene; 17] = [
     scene("a link goes down and comes up", ANSWERED, link_down),
     scene("a node is stopped", ANSWERED, stopped),
     scene("a node is frozen", ANSWERED, frozen),
-    scene("a node is killed and restarted on its port", "from the kill to the next answer", restarted),
-    scene("a node loses its state", ANSWERED, state_lost),
-    scene("the addresses of two nodes are exchanged", ANSWERED, addresses_exchanged),
     scene("the disk of a recording is full", "", disk_full),
-    scene("a clock is a day ahead", "", day_ahead),
 ];
 
 /// The cell, whose tasks talk.
-fn talking(seed: u64) -> Net {
+pub fn talking(seed: u64) -> Net {
     let net = Net::started(&talk(), NODES, seed);
     progress(&net);
     net
 }
 
 /// Waits until all three tasks have met several times more. Between two meetings `a` asks `b`, and sends to `c`.
-fn progress(net: &Net) {
+pub fn progress(net: &Net) {
     let mut first = None;
     net.until("all talk", |sample| {
         let met = released(sample, "a");
@@ -75,7 +68,7 @@ fn progress(net: &Net) {
 }
 
 /// Waits until `a` has given up a command since this was called.
-fn gives_up(net: &Net) {
+pub fn gives_up(net: &Net) {
     let mut first = None;
     net.until("a command times out", |sample| {
         let given_up = figure(sample, "a", "ask", "timed_out");
@@ -93,12 +86,12 @@ fn asks(net: &Net, more: u64) {
 }
 
 /// The result of a run, whose time began at this instant.
-fn since(net: Net, at: u64) -> Trial {
+pub fn since(net: Net, at: u64) -> Trial {
     let (ended, trial) = result(net);
     Trial { took: ended.evidence.first(true, at), ..trial }
 }
 
-fn result(net: Net) -> (Ended, Trial) {
+pub fn result(net: Net) -> (Ended, Trial) {
     let counts = net.hosts.counts();
     let ended = net.finish();
     let trial = Trial::of(&ended, counts);
@@ -107,7 +100,7 @@ fn result(net: Net) -> (Ended, Trial) {
 }
 
 /// How many datagrams all links dropped for these reasons.
-fn dropped(ended: &Ended, reasons: &[&str]) -> u64 {
+pub fn dropped(ended: &Ended, reasons: &[&str]) -> u64 {
     let of = |said: &Said| {
         let summary = said.last_json();
         let discards = &summary["nodes"][0]["link_discards"];
@@ -246,58 +239,6 @@ fn frozen(seed: u64) -> Trial {
     since(net, goes_on)
 }
 
-fn restarted(seed: u64) -> Trial {
-    let mut net = talking(seed);
-    let at = now();
-    net.kill(B);
-    thread::sleep(Duration::from_millis(seed % 4 * 50));
-    net.start(B, &How::default());
-    progress(&net);
-    since(net, at)
-}
-
-/// The file with the incarnation of a node.
-fn incarnation(net: &Net, node: &str) -> std::path::PathBuf {
-    net.dir.path().join(format!("state/imrs/hosts/{node}.life"))
-}
-
-fn state_lost(seed: u64) -> Trial {
-    let mut net = talking(seed);
-    net.kill(B);
-    std::fs::remove_dir_all(net.dir.path().join("state/imrs/hosts")).expect("its state");
-    let again = now();
-    net.start(B, &How::default());
-    // The other nodes remember the incarnation that the node has forgotten.
-    let stored = std::fs::read_to_string(incarnation(&net, "nb")).expect("its state");
-    assert_eq!(stored.trim(), "1", "an incarnation that its neighbours have not heard");
-    progress(&net);
-    since(net, again)
-}
-
-/// `na` looks for `nb` at the address of `nc`, and the other way round.
-fn addresses_exchanged(seed: u64) -> Trial {
-    let mut net = Net::new(&talk(), NODES, seed);
-    let [b, c] = [B, C].map(|host| Hosts::address(host).to_string());
-    let text = talk().replace(&b, "THERE").replace(&c, &b).replace("THERE", &c);
-    let cell = net.dir.path().join("exchanged.cell");
-    std::fs::write(&cell, text).expect("the cell is written");
-    net.start(C, &How::default());
-    net.start(B, &How::default());
-    net.start(A, &How { cell: Some(cell), ..How::default() });
-    gives_up(&net);
-    let said = net.stop(A);
-    let summary = said.last_json();
-    assert_eq!(number(&summary["commands"]["replies"]), 0, "{summary}");
-    let again = now();
-    net.start(A, &How::default());
-    progress(&net);
-    let counts = net.hosts.counts();
-    let ended = net.finish();
-    assert!(dropped(&ended, &["misdelivered"]) > 0, "{:?}", ended.said);
-    let trial = Trial::of(&ended, counts);
-    Trial { took: ended.evidence.first(true, again), ..trial }
-}
-
 /// The recording of `nb` is on a disk of 16 kB.
 fn disk_full(seed: u64) -> Trial {
     let mut net = Net::new(&talk(), NODES, seed);
@@ -328,30 +269,4 @@ fn disk_full(seed: u64) -> Trial {
     // The node went on without its recording, which is judged as far as it goes.
     assert!(trial.outcome("replies") > trial.messages.executed, "{trial:?}");
     trial
-}
-
-/// The monotonic clocks of `nb` are a day ahead of those of the others.
-fn day_ahead(seed: u64) -> Trial {
-    const DAY: &str = "86400";
-    let mut net = Net::new(&talk(), NODES, seed);
-    let under = ["unshare", "-T", "--monotonic", DAY, "--boottime", DAY].map(str::to_owned).into();
-    net.start(C, &How::default());
-    net.start(B, &How { under, ..How::default() });
-    net.start(A, &How::default());
-    progress(&net);
-    // A recording is compared with those of the others on their clock.
-    net.before_judging(B, set_back);
-    result(net).1
-}
-
-/// Sets the times of a recording back by a day.
-fn set_back(file: &Path) {
-    const DAY_US: u64 = 86_400_000_000;
-    tape::change(file, file, |records| {
-        for record in records {
-            if let Record::Script { step: ScriptStep::Begin { at }, .. } = record {
-                *at = at.checked_sub(DAY_US).expect("a clock that is a day ahead");
-            }
-        }
-    });
 }

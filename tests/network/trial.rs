@@ -142,7 +142,7 @@ pub fn row(trials: &[&Trial], took: &str) -> String {
     }
     let mut times: Vec<u64> = trials.iter().filter_map(|trial| trial.took).collect();
     times.sort_unstable();
-    if let Some(longest) = times.last() {
+    if let Some(longest) = times.last().filter(|_| !took.is_empty()) {
         let millis = |us: u64| us.div_ceil(1_000);
         let at = |share: usize| millis(times[(times.len() * share / 100).min(times.len() - 1)]);
         parts.push(format!(

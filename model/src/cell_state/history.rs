@@ -152,7 +152,7 @@ impl History {
                     _ => {}
                 }
             }
-            NodeInput::Time | NodeInput::PeerRestarted(_) => {}
+            NodeInput::Time | NodeInput::PeerRestarted(_) | NodeInput::Unsent(..) => {}
         }
     }
 

@@ -106,8 +106,7 @@ impl<'t> Replay<'t> {
         Self { script: Some(Again::new(program)), ..self }
     }
 
-    /// Calls `watch` with the requests of the script, their answers, and the state of its task. Times are microseconds
-    /// since the first step; [`base`](Self::base) returns the time of that step.
+    /// Calls `watch` with the script's requests, their answers and its task's state. Times count from [`base`](Self::base).
     #[must_use]
     pub fn watched(mut self, watch: &Arc<dyn Watch>) -> Self {
         let watched = Watched { task: self.task, watch: Arc::clone(watch) };
@@ -163,7 +162,8 @@ impl<'t> Replay<'t> {
                 TaskState::AwaitingReply { .. } => Happened::PeerRestarted(node),
                 _ => Happened::Time,
             }),
-            Input::Time | Input::TimeOut { .. } | Input::Unsent(_) => heard.note(Happened::Time),
+            Input::Unsent(id) => heard.note(Happened::Unsent(id)),
+            Input::Time | Input::TimeOut { .. } => heard.note(Happened::Time),
             Input::Request(_) => {}
         }
         let mut out = Digesting { digest: Some(&mut self.digest), out: &mut heard };

@@ -2,7 +2,7 @@
 //! with them.
 
 use imrs_protocol::script::{Address, End, ScriptInput};
-use imrs_protocol::{NodeId, Packet, TaskId};
+use imrs_protocol::{MessageId, NodeId, Packet, TaskId};
 
 /// An event at a task.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -28,6 +28,8 @@ pub enum Happened {
     Time,
     /// Another node has a new incarnation.
     PeerRestarted(NodeId),
+    /// A packet of a command of the task never left its node, because no link took it in time.
+    Unsent(MessageId),
     /// The action of one of the task's threads ended: the thread, whether the action succeeded, and its result.
     Acted(u8, bool, i32),
     /// A nondeterministic choice was made for the task's script.

@@ -131,8 +131,7 @@ pub(super) enum Stop {
     Stuck(Unexplained),
 }
 
-/// The inputs of a task, each with what the task's script did with it. Inputs that are only passing time, and have no
-/// effect, are left out.
+/// The inputs of a task, each with what the task's script did with it; without those that are only passing time.
 fn groups(run_state: &RunState, run: &Run, task: usize) -> Vec<Group> {
     let mut groups: Vec<Group> = Vec::new();
     let here = run_state.cell.node_state_of(task);
@@ -268,6 +267,7 @@ impl Follower {
             Happened::Time | Happened::PeerRestarted(_) => {
                 self.let_time_show(task, node, (now, counted), group)?;
             }
+            Happened::Unsent(id) => self.unsent(task, node, id)?,
             Happened::Came(packet) => self.packet(task, node, (now, counted), packet)?,
             Happened::Acted(level, ok, value) => {
                 self.quiet(task, "its action ends")?;

@@ -3,7 +3,8 @@
 use super::words::{named, port_name};
 use super::{AHEAD, Follower, No, Rounding};
 use crate::cell::judge::name;
-use imrs_protocol::Packet;
+use crate::cell_state::InFlight;
+use imrs_protocol::{MessageId, NodeInput, Packet, TaskId};
 
 /// The greatest number of moves of a killed node that are guessed for one packet.
 const GUESSES: usize = 8;
@@ -40,6 +41,23 @@ impl Follower {
             true => Ok(()),
             false => Err(No::Never("a packet arrives that a node on the route drops in the model".into())),
         }
+    }
+
+    /// Takes a packet of a command back that never left its node in the run. In the model every packet leaves at once. The
+    /// node reports this before it ends the command, so no time passes here.
+    pub(super) fn unsent(&mut self, task: usize, node: usize, id: MessageId) -> Result<(), No> {
+        let cell_state = &mut self.run_state.cell;
+        let is_it = |carried: &InFlight| {
+            let (from, ..) = cell_state.links[usize::from(carried.link)];
+            let packet = &carried.packet;
+            from.index() == node && packet.source.index() == task && packet.id == id
+        };
+        // A copy that had no time left did not leave in the model either, and the model's node knows it already.
+        let Some(at) = cell_state.in_flight.iter().position(is_it) else { return Ok(()) };
+        cell_state.in_flight.remove(at);
+        let step = cell_state.step(node, NodeInput::Unsent(TaskId::from_index(task), id));
+        step.map_err(|violation| No::Never(violation.text().into()))?;
+        self.made(node)
     }
 
     /// Whether the recording of the packet's source shows this packet, or is incomplete.
