@@ -1,4 +1,4 @@
-//! Tests of the goodbye of a node that stops in order (D207).
+//! Tests of the goodbye of a node that stops in order (D205).
 
 use super::keys::{carried, keys, pair};
 use super::rig::{

@@ -1,4 +1,4 @@
-//! Tests of what a link measures: how long datagrams took (D207), and whether damage makes the link faulty.
+//! Tests of what a link measures: how long datagrams took (D205), and whether damage makes the link faulty.
 
 use super::rig::{A, B, C, Memory, encoded, envelope, link, packet, pair, raw_socket, sealed};
 use imrs_protocol::NodeId;

@@ -141,7 +141,7 @@ pub enum Purpose {
     /// The datagram tells the receiver that the sender drops all of the receiver's datagrams. It carries no packet.
     Refusal(Refused),
     /// The sender has stopped in order: none of its tasks runs any more, and its session ends. It carries no packet, and has a
-    /// counter as datagrams with packets have. Programs from before D207 drop it.
+    /// counter as datagrams with packets have. Programs from before D205 drop it.
     Goodbye,
 }
 

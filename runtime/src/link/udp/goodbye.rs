@@ -1,4 +1,4 @@
-//! The goodbye of a node that has stopped in order (D207), and how its neighbours take it.
+//! The goodbye of a node that has stopped in order (D205), and how its neighbours take it.
 //!
 //! A goodbye is the last datagram of a session. It counts only if it is of the session that this node knows, and newer than all that
 //! came of it: with keys only the neighbour can make it. It needs no answer, and a lost one changes nothing: the neighbours

@@ -1,4 +1,4 @@
-//! What this node measures of the datagrams of one neighbour: how long they took, and how many were damaged (D207). All of it is
+//! What this node measures of the datagrams of one neighbour: how long they took, and how many were damaged (D205). All of it is
 //! in fixed memory.
 
 use super::delay::{DRIFT_PPM, Hop};

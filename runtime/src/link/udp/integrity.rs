@@ -1,4 +1,4 @@
-//! Decides from damaged datagrams whether a link counts as faulty (D207).
+//! Decides from damaged datagrams whether a link counts as faulty (D205).
 //!
 //! Damaged datagrams alone prove nothing about a link: anybody can send garbage under a neighbour's address. But a link that damages
 //! datagrams loses them, too, and a gap in the neighbour's counters shows each loss. Garbage that another program adds makes no gap. So
