@@ -266,8 +266,7 @@ fn an_actuator_compares_epochs_across_their_wrap() {
     assert_eq!(arm.ask(get_on(MOVE, 0)).words(), ["nothing"]);
 }
 
-/// A guard belongs to a couple: the task that acts and its standby. Once the arm has heard of a newer epoch on one port, all
-/// ports over which this couple sends drop messages of an older epoch, also those that wait there.
+/// Once the arm hears of a newer epoch of a couple on one port, all ports over which this couple sends drop older messages.
 #[test]
 fn a_guard_is_of_the_couple_whichever_port_an_order_comes_through() {
     let mut cell = cell(false);
