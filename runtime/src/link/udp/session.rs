@@ -197,7 +197,7 @@ mod tests {
 
     #[test]
     fn a_dead_session_takes_nothing_over() {
-        // In the peer's first session, its newest datagram had heard from this node at the instant 400. Then the session
+        // In the peer's first session, the peer had heard what this node sent until the instant 400. Then the session
         // ended. Datagrams of the peer's next session are accepted from the instant 600 on.
         let known = heard(&[(1, 3, 9, 410), (2, 4, 0, 600)]);
         for sent_after in [None, Some(0), Some(400), Some(599)] {
