@@ -1,6 +1,6 @@
 //! Scenes of a bundle: several inputs that a thread brings at once, under one lock or in several slots of the inbox.
 
-use super::handoff::{Brought, Got, Waited, toy};
+use super::handoff::{Brought, Got, Waited, ask, toy};
 use super::{DEADLOCK, must_fail, must_fail_large};
 use crate::clock::FAR;
 use crate::explorer::{Arc, explore, explore_large, thread};
@@ -89,19 +89,8 @@ fn wait_for_a_bundle(plant: Option<Plant>) -> (Waited, bool) {
         theirs.deliver_all(&mut VecDeque::from([Brought::Nothing, Brought::Answer]), &mut worked);
         worked
     });
-    let (mut waited, mut worked) = (Waited::NotAtAll, 0);
-    let mut entry = handoff.enter(Brought::Question, &mut worked);
-    while entry.completion.is_none() {
-        waited = if handoff.look(|| false, |there| there()) {
-            Waited::Looking
-        } else if handoff.sleep(None) {
-            Waited::Asleep
-        } else {
-            Waited::Awake
-        };
-        entry = handoff.come_back_and(Brought::Nothing, |_| None, &mut worked);
-    }
-    assert_eq!(entry.completion, Some(Got::Answer));
+    let (waited, got) = ask(&handoff, || handoff.look(|| false, |there| there()));
+    assert_eq!(got, Got::Answer);
     (waited, other.join().unwrap() == 0)
 }
 

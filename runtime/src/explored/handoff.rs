@@ -105,18 +105,16 @@ pub(super) enum Waited {
     Asleep,
 }
 
-/// The task makes a request, looks for the answer `looks` times and then sleeps; another thread brings the answer. If
-/// the wake-up is missing, loom finds the deadlock. Returns how the task waited, and whether its thread handled the
-/// answer itself.
-fn ask_and_wait(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
-    let handoff = toy(plant);
-    let other = bring(&handoff, Brought::Answer);
-    let mut waited = Waited::NotAtAll;
-    let mut worked = 0;
+/// The task makes a request. Until it is answered, the task's thread looks for the answer with `look`, which says whether it
+/// found one, and then sleeps. Returns how the task waited, and the answer.
+pub(super) fn ask(handoff: &Handoff<Toy, Option<Plant>>, look: impl Fn() -> bool) -> (Waited, Got) {
+    let (mut waited, mut worked) = (Waited::NotAtAll, 0);
     let mut entry = handoff.enter(Brought::Question, &mut worked);
-    while entry.completion.is_none() {
-        let found = handoff.look(|| false, |there| (0..looks).any(|_| there()));
-        waited = if found {
+    loop {
+        if let Some(answer) = entry.completion {
+            return (waited, answer);
+        }
+        waited = if look() {
             Waited::Looking
         } else if handoff.sleep(None) {
             Waited::Asleep
@@ -125,6 +123,15 @@ fn ask_and_wait(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
         };
         entry = handoff.come_back_and(Brought::Nothing, |_| None, &mut worked);
     }
+}
+
+/// The task makes a request, looks for the answer `looks` times and then sleeps; another thread brings the answer. If
+/// the wake-up is missing, loom finds the deadlock. Returns how the task waited, and whether its thread handled the
+/// answer itself.
+fn ask_and_wait(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
+    let handoff = toy(plant);
+    let other = bring(&handoff, Brought::Answer);
+    let (waited, _) = ask(&handoff, || handoff.look(|| false, |there| (0..looks).any(|_| there())));
     (waited, other.join().unwrap() == 0)
 }
 

@@ -1,6 +1,6 @@
 //! Scenes of news, which may wait for a task's thread that runs, and of input that may not.
 
-use super::handoff::{Brought, Waited, bring, toy};
+use super::handoff::{Brought, Waited, ask, bring, toy};
 use super::{DEADLOCK, must_fail};
 use crate::explorer::{SEES_OLD_VALUES, explore};
 use crate::sync::handoff::Plant;
@@ -9,22 +9,10 @@ use crate::sync::handoff::Plant;
 /// may wait for the task's thread. Returns how the task waited, and whether its own thread handled the news.
 fn ask_for_news(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
     let handoff = toy(plant);
-    let mut worked = 0;
-    handoff.enter(Brought::Nothing, &mut worked);
+    handoff.enter(Brought::Nothing, &mut 0);
     let other = bring(&handoff, Brought::News);
-    let mut waited = Waited::NotAtAll;
-    let mut entry = handoff.enter(Brought::Question, &mut worked);
-    while entry.completion.is_none() {
-        let found = looks > 0 && handoff.look(|| false, |there| (0..looks).any(|_| there()));
-        waited = if found {
-            Waited::Looking
-        } else if handoff.sleep(None) {
-            Waited::Asleep
-        } else {
-            Waited::Awake
-        };
-        entry = handoff.come_back_and(Brought::Nothing, |_| None, &mut worked);
-    }
+    let look = || looks > 0 && handoff.look(|| false, |there| (0..looks).any(|_| there()));
+    let (waited, _) = ask(&handoff, look);
     (waited, other.join().unwrap() == 0)
 }
 
