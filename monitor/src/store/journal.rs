@@ -170,26 +170,23 @@ impl Entry {
         has(self.kind()) || has(self.node.shown()) || has(&self.object()) || has(&self.detail())
     }
 
-    fn repeats(&self, other: &Self) -> bool {
-        let same = match (&self.what, &other.what) {
-            (What::Observed { task, observation: a }, What::Observed { task: other, observation: b }) => {
-                task == other && (a.event, a.port, a.peer) == (b.event, b.port, b.peer)
-            }
-            (a, b) => a == b,
+    /// What two entries have in common of which one repeats the other.
+    fn subject(&self) -> impl PartialEq + Hash + use<'_> {
+        let (observed, noticed) = match &self.what {
+            What::Observed { task, observation: o } => (Some((task, o.event, o.port, o.peer)), None),
+            What::Noticed { level, kind, object, detail } => (None, Some((level, kind, object, detail))),
         };
-        same && self.node == other.node
+        (&self.node, observed, noticed)
     }
 
-    /// A number that is the same for two entries of which one [repeats](Self::repeats) the other.
-    fn subject(&self) -> u64 {
+    fn repeats(&self, other: &Self) -> bool {
+        self.subject() == other.subject()
+    }
+
+    /// A number that is the same for entries of one subject, and seldom for others.
+    fn digest(&self) -> u64 {
         let mut hasher = DefaultHasher::new();
-        self.node.hash(&mut hasher);
-        match &self.what {
-            What::Observed { task, observation } => {
-                (task, observation.event, observation.port, observation.peer).hash(&mut hasher);
-            }
-            What::Noticed { kind, object, detail, .. } => (kind, object, detail).hash(&mut hasher),
-        }
+        self.subject().hash(&mut hasher);
         hasher.finish()
     }
 
@@ -267,7 +264,7 @@ pub struct Journal {
     bad: VecDeque<Entry>,
     notable: VecDeque<Entry>,
     trace: VecDeque<Entry>,
-    /// For each subject of `bad` and `notable`, the number of its newest entry.
+    /// For the digest of each subject of `bad` and `notable`, the number of its newest entry.
     newest: BTreeMap<u64, u64>,
     /// How many entries were added so far.
     ever: u64,
@@ -283,9 +280,9 @@ impl Journal {
             Severity::Bad => &mut self.bad,
         };
         let (folds, is_routine) = (entry.folds(), entry.level() == Severity::Trace);
-        let subject = (folds && !is_routine).then(|| entry.subject());
-        let earlier = match subject {
-            Some(subject) => self.newest.get(&subject).and_then(|&number| {
+        let digest = (folds && !is_routine).then(|| entry.digest());
+        let earlier = match digest {
+            Some(digest) => self.newest.get(&digest).and_then(|&number| {
                 let at = lines.binary_search_by_key(&number, |entry| entry.number).ok()?;
                 lines.get_mut(at)
             }),
@@ -301,12 +298,12 @@ impl Journal {
         if lines.len() == KEPT
             && let Some(oldest) = lines.pop_front()
             && !is_routine
-            && let subject = oldest.subject()
-            && self.newest.get(&subject) == Some(&oldest.number)
+            && let digest = oldest.digest()
+            && self.newest.get(&digest) == Some(&oldest.number)
         {
-            self.newest.remove(&subject);
+            self.newest.remove(&digest);
         }
-        self.newest.extend(subject.map(|subject| (subject, self.ever)));
+        self.newest.extend(digest.map(|digest| (digest, self.ever)));
         lines.push_back(Entry { number: self.ever, ..entry });
         self.ever += 1;
     }

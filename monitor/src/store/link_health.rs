@@ -1,6 +1,6 @@
 //! What nodes report of their links: how long datagrams took, and whether links count as faulty.
 
-use super::journal::Severity;
+use super::journal::{Entry, Severity, What};
 use super::{Condition, NodeIncarnation, Received, Store};
 use crate::clock::Moment;
 use crate::name::Name;
@@ -66,13 +66,15 @@ impl Store {
 
     /// Stores a node's report on its links. The journal notes each link that began to count as faulty.
     pub(super) fn links(&mut self, at: Moment, index: usize, what: LinkReports) {
-        let incarnation = self.incarnations[index].clone();
-        for link in &what.links {
-            if link.integrity.faults > incarnation.faults_of(link.peer) {
-                let from = incarnation.names.node(link.peer).to_string();
-                let detail = format!("from {from}: {} damaged datagrams so far", link.integrity.failures);
-                self.notice(at, &incarnation, Severity::Warn, "link faulty", String::new(), detail);
-            }
+        let incarnation = &self.incarnations[index];
+        let faulty =
+            what.links.iter().filter(|link| link.integrity.faults > incarnation.faults_of(link.peer));
+        for link in faulty {
+            let from = incarnation.names.node(link.peer);
+            let detail = format!("from {from}: {} damaged datagrams so far", link.integrity.failures);
+            let (level, kind, object) = (Severity::Warn, "link faulty", String::new());
+            let what = What::Noticed { level, kind, object, detail };
+            self.journal.add(Entry::new(at, incarnation, what, 1));
         }
         let cell = incarnation.names.cell.clone();
         let stopped = what.links.iter().filter(|link| link.has_stopped);
