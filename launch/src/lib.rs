@@ -39,7 +39,7 @@ pub mod words;
 
 pub use error::LaunchError;
 pub use faults::Fault;
-pub use folds::links::{LinkSummary, SecuritySummary};
+pub use folds::links::{SecuritySummary, link_warnings};
 pub use folds::rounds::Rounds;
 pub use folds::spread::Spread;
 pub use folds::story::Story;

@@ -15,7 +15,7 @@ use crate::store::journal::Severity;
 use crate::store::meeting::{Meeting, Standing, meetings, state};
 use crate::store::{NodeIncarnation, Store, Unseen, unseen};
 use imrs_protocol::{Class, MeetingState, MeetingView, PortView, TaskState, Usage};
-use imrs_wire::obs::{Count, Liveness, RealTime, TaskSnapshot};
+use imrs_wire::obs::{Count, LinkSummary, Liveness, RealTime, TaskSnapshot};
 use imrs_wire::text;
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -55,7 +55,7 @@ struct Node<'a> {
     discards: Vec<Reason<'a>>,
     link_discards: Vec<Reason<'a>>,
     /// The links from its neighbours, as the node measures them.
-    links: Vec<links::Link<'a>>,
+    links: Vec<LinkSummary>,
     lost_events: u64,
     /// The validator's verdict on the inputs that the node records: `conforms`, `violates` or `unknown`.
     conformance: &'static str,

@@ -6,8 +6,9 @@ use crate::checks;
 use crate::failure::Failure;
 use crate::faults::Restart;
 use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped, span};
-use imrs_launch::{Keys, LinkSummary, NodeSummary, RendezvousSummary, Run, StartedNode, Summary};
+use imrs_launch::{Keys, NodeSummary, RendezvousSummary, Run, StartedNode, Summary, link_warnings};
 use imrs_protocol::{CellTable, Usage};
+use imrs_wire::obs::LinkSummary;
 use std::collections::BTreeMap;
 
 /// Prints which nodes and tasks run, and how to watch them.
@@ -275,7 +276,7 @@ fn links(node: &NodeSummary, out: &mut Output) -> Result<(), Failure> {
     }
     for link in &node.links {
         let ink = if link.integrity.faults > 0 { BAD } else { NOTE };
-        for words in link.warnings(&node.name) {
+        for words in link_warnings(link, &node.name) {
             out.line(format!("    {}", Styled(ink, words)))?;
         }
     }

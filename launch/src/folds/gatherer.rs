@@ -1,6 +1,6 @@
 //! Gathers the summary of a run from its facts.
 
-use super::links::{Alarm, LinkSummary, SecuritySummary};
+use super::links::{Alarm, SecuritySummary, link_summary};
 use super::summary::{AfterKill, NodeSummary, PortSummary, RendezvousSummary, Summary, TaskSummary};
 use super::tally::Tally;
 use crate::checks::Settlement;
@@ -146,7 +146,7 @@ impl Gatherer {
                 discards: figures.discards.clone(),
                 link_discards: figures.link_discards.clone(),
                 link: figures.link.clone(),
-                links: figures.links.iter().map(|link| LinkSummary::new(&self.table, *node, link)).collect(),
+                links: figures.links.iter().map(|link| link_summary(&self.table, *node, link)).collect(),
                 security: SecuritySummary::new(&figures.link_discards, self.alarms[node.index()].raised),
                 refusals: figures.refusals.clone(),
                 lost_on_purpose: figures.lost_on_purpose,

@@ -3,32 +3,9 @@
 use crate::words::{count, grouped, span};
 use imrs_protocol::{CellTable, NodeId, Ticks};
 use imrs_runtime::link::udp::{FAILURES, WINDOW};
-use imrs_wire::obs::{Delays, Integrity, LinkReport, Margin};
+use imrs_wire::obs::{Integrity, LinkReport, LinkSummary, Margin};
 use serde::Serialize;
 use std::collections::BTreeMap;
-
-/// One direction of a link, as the receiving node measured it.
-#[derive(Clone, Debug, Serialize)]
-pub struct LinkSummary {
-    /// The neighbour that sends.
-    pub from: String,
-    /// The declared bound of the link, in microseconds.
-    pub bound_us: u64,
-    /// How long the measured datagrams took. Each time is an upper bound, which round trips prove.
-    pub delay: Delays,
-    /// The same, of the end of the run.
-    pub recent: Delays,
-    /// The length of the end of the run, in microseconds.
-    pub recent_us: u64,
-    /// How many datagrams were not measured, because no exchange was recent enough.
-    pub unmeasured: u64,
-    /// How the delays of the run compare with the bound: `enough`, `near` or `exceeded`.
-    pub margin: &'static str,
-    /// What was damaged.
-    pub integrity: Integrity,
-    /// Whether the neighbour had said at the end that it stopped in order.
-    pub has_stopped: bool,
-}
 
 /// The datagrams that a node dropped, and that no node of the cell sent in this form.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -44,48 +21,33 @@ pub struct SecuritySummary {
 const SECURITY: [&str; 8] =
     ["forged", "replayed", "other_keys", "not_imrs", "unknown_node", "too_short", "length", "checksum"];
 
-impl LinkSummary {
-    /// The summary of a report of the node `to`.
-    pub fn new(table: &CellTable, to: NodeId, report: &LinkReport) -> Self {
-        let bound = table.link_bound(to, report.peer).unwrap_or(Ticks::ZERO);
-        Self {
-            from: table.cell().nodes[report.peer.index()].name.clone(),
-            bound_us: bound.0,
-            delay: report.delay,
-            recent: report.recent,
-            recent_us: report.recent_us,
-            unmeasured: report.unmeasured,
-            margin: match report.delay.margin(bound) {
-                Margin::Enough => "enough",
-                Margin::Near => "near",
-                Margin::Exceeded => "exceeded",
-            },
-            integrity: report.integrity,
-            has_stopped: report.has_stopped,
-        }
-    }
+/// What the node `to` reported of the link from a neighbour, for the summary of a run.
+pub fn link_summary(table: &CellTable, to: NodeId, report: &LinkReport) -> LinkSummary {
+    let bound = table.link_bound(to, report.peer).unwrap_or(Ticks::ZERO);
+    report.summary(&table.cell().nodes[report.peer.index()].name, bound.0, report.delay.margin(bound))
+}
 
-    /// What is wrong with the link to the node `to`, in words for people.
-    pub fn warnings(&self, to: &str) -> Vec<String> {
-        let Self { from, delay, integrity, .. } = self;
-        let (bound, p99) = (span(self.bound_us), span(delay.p99_us));
-        let mut words = Vec::new();
-        match self.margin {
-            "exceeded" => words.push(format!(
-                "link {from} -> {to}: {} of {} took longer than its declared {bound}, which the checks rely on",
-                delay.late,
-                count(delay.count, "datagram"),
-            )),
-            "near" => words.push(format!(
-                "link {from} -> {to}: 99 of 100 datagrams took at most {p99}, which comes near its declared {bound}"
-            )),
-            _ => {}
-        }
-        if integrity.faults > 0 {
-            words.push(fault_words(from, to, integrity));
-        }
-        words
+/// What is wrong with a link to the node `to`, in words for people.
+#[must_use]
+pub fn link_warnings(link: &LinkSummary, to: &str) -> Vec<String> {
+    let LinkSummary { from, delay, integrity, .. } = link;
+    let (bound, p99) = (span(link.bound_us), span(delay.p99_us));
+    let mut words = Vec::new();
+    match link.margin {
+        Margin::Enough => {}
+        Margin::Near => words.push(format!(
+            "link {from} -> {to}: 99 of 100 datagrams took at most {p99}, which comes near its declared {bound}"
+        )),
+        Margin::Exceeded => words.push(format!(
+            "link {from} -> {to}: {} of {} took longer than its declared {bound}, which the checks rely on",
+            delay.late,
+            count(delay.count, "datagram"),
+        )),
     }
+    if integrity.faults > 0 {
+        words.push(fault_words(from, to, integrity));
+    }
+    words
 }
 
 /// That a link counts as faulty, in words.
@@ -183,6 +145,7 @@ impl Alarm {
 mod tests {
     use super::*;
     use crate::cells::tests::beam_lift;
+    use imrs_wire::obs::Delays;
 
     fn report(count: u64, late: u64, p99_us: u64) -> LinkReport {
         let delay = Delays { count, late, p50_us: 100, p99_us, max_us: p99_us };
@@ -202,10 +165,10 @@ mod tests {
         let loaded = beam_lift();
         let bound = loaded.table.link_bound(NodeId(0), NodeId(1)).unwrap().0;
         let told = |report: &LinkReport| {
-            let summary = LinkSummary::new(&loaded.table, NodeId(0), report);
-            (summary.margin, summary.warnings("nl").join("\n"))
+            let summary = link_summary(&loaded.table, NodeId(0), report);
+            (serde_json::json!(summary.margin), link_warnings(&summary, "nl").join("\n"))
         };
-        assert_eq!(told(&report(500, 5, bound / 2)), ("enough", String::new()));
+        assert_eq!(told(&report(500, 5, bound / 2)), ("enough".into(), String::new()));
         let (margin, words) = told(&report(500, 5, bound));
         assert!(
             margin == "near" && words.contains("link nr -> nl") && words.contains("comes near"),

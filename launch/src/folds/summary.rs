@@ -1,9 +1,10 @@
 //! The summary of a run, in the form that `--format json` prints and keeps stable.
 
-use super::links::{LinkSummary, SecuritySummary};
+use super::links::SecuritySummary;
 use super::rounds::Rounds;
 use crate::checks::Settlement;
 use crate::pipe::{Outcomes, RefusalFigures};
+use imrs_wire::obs::LinkSummary;
 use serde::Serialize;
 use std::collections::BTreeMap;
 

@@ -64,8 +64,50 @@ pub struct Integrity {
     pub unmatched: u64,
 }
 
+/// A [`LinkReport`] in the answers that `imrs run` and `imrs monitor --once` print as JSON.
+#[derive(Clone, Debug, Serialize)]
+pub struct LinkSummary {
+    /// The neighbour that sends.
+    pub from: String,
+    /// The declared bound of the link, in microseconds.
+    pub bound_us: u64,
+    /// How long the measured datagrams took. Each time is an upper bound, which round trips prove.
+    pub delay: Delays,
+    /// The same, of the recent time.
+    pub recent: Delays,
+    /// The length of the recent time, in microseconds.
+    pub recent_us: u64,
+    /// How many datagrams were not measured, because no exchange was recent enough.
+    pub unmeasured: u64,
+    /// How delays compare with the bound: those of the whole run in its summary, the recent ones in the monitor.
+    pub margin: Margin,
+    /// What was damaged.
+    pub integrity: Integrity,
+    /// Whether the neighbour has said that it stopped in order.
+    pub has_stopped: bool,
+}
+
+impl LinkReport {
+    /// The report, with the name of the neighbour and the declared bound of the link.
+    #[must_use]
+    pub fn summary(&self, from: &str, bound_us: u64, margin: Margin) -> LinkSummary {
+        LinkSummary {
+            from: from.to_owned(),
+            bound_us,
+            delay: self.delay,
+            recent: self.recent,
+            recent_us: self.recent_us,
+            unmeasured: self.unmeasured,
+            margin,
+            integrity: self.integrity,
+            has_stopped: self.has_stopped,
+        }
+    }
+}
+
 /// Which part of a link's declared bound its datagrams take.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Margin {
     /// Too few datagrams were measured, or they leave enough of the bound.
     Enough,

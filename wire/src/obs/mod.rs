@@ -70,7 +70,7 @@ pub use frames::{
 pub use framing::{FrameError, FrameReader, FrameWriter, MAX_FRAME, MAX_REQUEST};
 pub use gathering::Gathering;
 pub use handshake::{Handshake, Hello, NodeIdentity, Refusal, Role, SCHEMA, agree};
-pub use links::{Delays, Integrity, LinkReport, LinkReports, Margin};
+pub use links::{Delays, Integrity, LinkReport, LinkReports, LinkSummary, Margin};
 pub use snapshot::{Count, LinkView, Liveness, RealTime, Snapshot, TaskSnapshot, TimerEntry};
 pub use told::{
     Denied, Detail, HeldBack, HeldTask, Lateness, MAX_WATCHED, NodePlace, Places, Pong, PortDetail,
