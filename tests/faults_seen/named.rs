@@ -258,6 +258,11 @@ fn now(scene: &Scene, what: Signal) -> Instant {
 
 #[test]
 fn the_first_screen_names_the_root_cause_of_each_fault() {
+    if !crate::support::is_whole() {
+        // On a busy machine a finding about that machine may take the line at the bottom for as long as the fault is recent.
+        eprintln!("*** SKIPPED: fourteen faults are injected with IMRS_WHOLE=1 only ***");
+        return;
+    }
     let (rows, unnamed) = (Mutex::new(Vec::new()), Mutex::new(Vec::new()));
     for faults in FAULTS.chunks(AT_ONCE) {
         side_by_side(faults, |fault| match Row::of(fault) {
