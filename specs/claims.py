@@ -80,8 +80,8 @@ def charts(name, mine):
             continue
         seen.add(v["rule"])
         what = "tasks" if name in MESSAGES else "members"
-        about = "" if v["about"] == mine[0]["about"] else f": {v['about']}"
-        title = f"`{v['rule']}`, {v['parties']} {what}, {found['length']} steps{about}."
+        about = "" if v["about"] == mine[0]["about"] else f" {v['about'][0].upper()}{v['about'][1:]}."
+        title = f"The rule `{v['rule']}` fails with {v['parties']} {what}. The chart shows a shortest such run, of {found['length']} steps.{about}"
         shown.append(f"{title}\n\n```text\n{found['chart'].rstrip()}\n```")
     return shown
 
