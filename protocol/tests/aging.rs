@@ -10,7 +10,8 @@ use std::sync::Arc;
 const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);
 
-/// The port for status messages of X to Y, in order of rank; a rejected offer waits 4 ticks.
+/// The port for status messages of X to Y; it ranks lowest. A rejected message is offered again after 4
+/// ticks.
 const LOW: PortId = PortId(0);
 const HIGH: PortId = PortId(1);
 /// Three more ports, whose messages have no penalty when they are rejected.

@@ -256,7 +256,8 @@ fn delays_are_with_the_timer_at_once_and_its_word_may_be_looked_at_on_its_way() 
     assert_eq!(Encode::bytes(&frame, |w| node.0.walk_work(w)), Err(Overflow));
 }
 
-/// A time-out is queued while its task stops the timer or starts the timer again: `file` drops the time-out.
+/// A time-out is queued while its task stops the timer, or starts it again. `file`, which queues inputs,
+/// drops the time-out.
 #[test]
 fn a_report_of_an_earlier_start_is_dropped() {
     let start = Request::Start { id: TimeId(1), length: Ticks(5) };

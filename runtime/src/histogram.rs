@@ -21,7 +21,7 @@ pub(crate) struct Histogram {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Counts {
     counts: [u64; RANGES],
-    /// No time is greater than this.
+    /// The greatest time that was counted.
     greatest: u64,
 }
 
@@ -32,7 +32,7 @@ impl Default for Histogram {
 }
 
 impl Histogram {
-    /// Takes a time. One thread at a time may call this.
+    /// Counts a time. Only one thread at a time may call this.
     pub fn note(&self, micros: u64) {
         // Only one thread writes, so no increment is lost between the load and the store.
         let count = &self.counts[place(micros)];

@@ -147,7 +147,7 @@ fn steps_that_follow_each_other_closely_keep_no_newer_epoch_out() {
         }
         told.recv().unwrap();
         told.recv().unwrap();
-        // Without the queue at the gate this call would wait for ever, and the two threads with it.
+        // Without the queue at the gate, this call and the two threads would wait for ever.
         let second = gate.admit(2, Deadline::none()).unwrap();
         assert!(second.may_act());
     });

@@ -21,7 +21,7 @@ fn two_ports() -> Arc<imrs_protocol::CellTable> {
     table(cell)
 }
 
-/// The task calls its communication task once and finds no message. From then on the node knows that the task's thread runs.
+/// The task calls its communication task once and finds no message. From then on the node knows that this thread runs.
 fn runs(ctx: &mut Context) -> Result<(), TaskError> {
     assert_eq!(ctx.poll(None)?, None);
     Ok(())

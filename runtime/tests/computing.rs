@@ -1,5 +1,5 @@
-//! Tests of a future that computes, that is, whose poll takes long: meanwhile other threads do for the futures of its node
-//! what has to be done (D186, D187).
+//! Tests of a future that computes, so that polling it takes long. Meanwhile other threads do the due work of all
+//! futures of its node (D186, D187).
 
 use crate::common::{A, B, C, LONG, LONG_TICKS, cell, finish, one_node, report, table, until};
 use imrs_protocol::{Outcome, PortDecl, PortId, Ticks, Usage};
@@ -77,7 +77,7 @@ fn while_a_future_computes_another_one_expires_is_observed_and_gets_messages() {
     begins.send(()).expect("it waits");
     sent.recv_timeout(LONG).expect("no message waits for the end of a poll");
     assert_eq!((counters(0, NEWS).enqueued, counters(1, NEWS).enqueued), (MANY.into(), MANY.into()));
-    // The future is observed, and neither its own thread nor the observer makes it expire.
+    // The future is observed. Neither its own thread nor the observer makes its wait expire: the Timer thread does.
     until(|| counters(1, CALL).timed_out == 1);
     ends.send(()).expect("it computes");
     finish(node);

@@ -409,7 +409,7 @@ fn a_last_record_that_does_not_fit_is_told() {
     };
     assert_eq!(closed(0, 2, start), miscount(2, start));
     assert_eq!(closed(0, 1, other), miscount(1, other));
-    // A gap explains a difference, but only for as many records as the gap says.
+    // A gap explains a difference in the counts, but only for as many records as the gap says.
     assert_eq!(closed(2, 3, other), Verdict::Unknown);
     assert_eq!(closed(2, 4, other), miscount(4, other));
 }

@@ -34,7 +34,7 @@ async fn in_two(mut ctx: AsyncContext) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// Does what [`in_two`] does, in one call.
+/// Does in one call what [`in_two`] does in two.
 async fn in_one(mut ctx: AsyncContext) -> Result<(), TaskError> {
     let ask = ctx.port("ask")?;
     let mut next = ctx.receive(Some(ask), None).await?;
@@ -62,7 +62,7 @@ fn on_a_thread(ctx: &mut Context) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// What the ports of the two tasks count.
+/// The counters of the ports of the two tasks.
 fn counted(with: impl FnOnce(Builder) -> Builder) -> Vec<PortCounters> {
     let mut cell = cell(&[0, 0], Ticks(2_000));
     cell.port(ask(LONG_TICKS));
@@ -85,7 +85,8 @@ fn one_call_does_what_two_do() {
     assert_eq!(counted(|node| node.task("b", on_a_thread)), expected);
 }
 
-/// An asker that gives up a question, says so, and asks again. It has asked before: its earlier deadline is still published.
+/// A task that gives up a question, says so, and asks again. It has asked before, so its earlier deadline is still
+/// published to the Timer thread.
 async fn impatient(mut ctx: AsyncContext) -> Result<(), TaskError> {
     let (ask, gone) = (ctx.port("ask")?, ctx.port("gone")?);
     assert_eq!(ctx.send(ask, b"0").await?.reply().expect("an answer").as_bytes(), b"zero");

@@ -53,7 +53,8 @@ pub(super) fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, (outside, is_open)
     let place = |found: &Finding| (found.task, found.address);
     for done in done {
         verdicts.phases.push(done.coverage);
-        // A warning for the same task and statement is not repeated for later phases.
+        // If a warning is for the same task and statement as one of an earlier phase (search), it is not reported
+        // again.
         let is_known = |new: &Finding| verdicts.warnings.iter().any(|known| place(known) == place(new));
         let new: Vec<Finding> = done.warnings.into_iter().filter(|new| !is_known(new)).collect();
         verdicts.warnings.extend(new);

@@ -138,7 +138,7 @@ impl Origin {
         }
     }
 
-    /// The words about the origin, to be appended to the cause of the finding.
+    /// The words that say since when the check is broken and by which step, to be appended to the cause of the finding.
     pub fn words(&self, end: &RunState) -> String {
         let Some(holds) = self.check.and_then(|check| end.plan.checks.get(check)).map(|check| &check.holds)
         else {

@@ -1,4 +1,5 @@
-//! The result of one phase of a check, before the verdict is made of it.
+//! The result of one phase of a check (one search of the cell: without faults, or with one fault hypothesis), before
+//! the verdict is made of it.
 
 use super::judge::Reached;
 use super::plan::Part;

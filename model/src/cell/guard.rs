@@ -196,17 +196,19 @@ fn shows(
     Err(Disagreement { what, moves: finding.moves.clone() })
 }
 
-/// A random walk, and its twin, whose state is packed and loaded before each move.
+/// A random walk through the unpacked cell, and its twin: a copy of the same state that is packed and loaded before
+/// each move.
 struct Walk<'a> {
     own: Unpacked,
     twin: Unpacked,
     kept: &'a Kept,
     apart: Option<&'a Apart>,
     moves: Vec<CellMove>,
-    /// Whether a restarted node is farther behind the rounds of the others than packed states can say. Then the walk and
-    /// the walk of the packed and unpacked copy beside it behave alike, but with different round numbers.
+    /// Whether a restarted node is farther behind the rounds of the others than packed states can say. Then the walk
+    /// and its twin, the copy that is packed and loaded, behave alike, but with different round numbers.
     far: bool,
-    /// Whether kept states may cover the walk's states in a way that a look-up cannot find.
+    /// Whether states of the walk may be covered by a kept state (one that the search stored, and that allows all their
+    /// moves) which the look-up cannot find.
     unlisted: bool,
 }
 

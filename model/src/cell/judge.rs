@@ -11,7 +11,7 @@ use imrs_protocol::script::{Address, End, Op, Program, ScriptInput, Term};
 use imrs_protocol::{CellTable, Outcome, PortId, Signal, Target, TaskId};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// A finding of one move, before it becomes a [`Finding`](super::verdict::Finding) with its path.
+/// A finding (something wrong) of one move, before it becomes a [`Finding`](super::verdict::Finding) with its path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Shown {
     pub kind: Kind,

@@ -1,7 +1,8 @@
-//! Searches the state space breadth-first. Only states with a choice are kept; the search passes through the others.
+//! Searches the state space breadth-first. Only states with a choice are stored (*kept*); the search passes through the
+//! others.
 //!
-//! Threads expand a batch of kept states in parallel, and look up only states that were kept before the batch. Then one thread
-//! merges the results in the order of the batch, so the answer is the same for any number of threads.
+//! Threads expand a batch of kept states in parallel, and look up only states that were kept before the batch. Then one
+//! thread merges the results in the order of the batch, so the answer is the same for any number of threads.
 
 use super::conclude::conclude;
 use super::done::Done;
@@ -111,7 +112,7 @@ fn look(
     progress: &dyn SearchProgress,
 ) -> Done {
     let explore = |plan: &Arc<CellPlan>| search(plan, phase, faults, progress).1;
-    // Only a result that is reported says what its search left unexpanded, because to find that out takes time.
+    // Only a search whose result is reported also computes what it left unexpanded, because that takes time.
     let explore_and_say = |plan: &Arc<CellPlan>| {
         let (search, mut done) = search(plan, phase, faults, progress);
         done.coverage.unfinished = unfinished::of(plan, faults, &search.sample, search.queue.len());
@@ -139,7 +140,8 @@ fn look(
         let mut done = explore(&Arc::new(short.clone())).with(tried);
         if done.coverage.complete {
             if !done.findings.is_empty() {
-                // Report findings of the coarse times (`Times::Ends`) first: their schedules have declared, thus rounder, times.
+                // Findings of the coarse times (`Times::Ends`) are reported first: their schedules use declared times,
+                // which are rounder numbers.
                 short.times = Times::Ends;
                 done.findings.splice(0..0, explore(&Arc::new(short)).findings);
             }

@@ -34,7 +34,8 @@ pub(super) struct Mark {
 /// there.
 const POSTS: u64 = 4;
 
-/// Whether a kept state is in the sample, by its fingerprint: one state in sixteen is, also of the states kept on chains.
+/// Whether a kept (stored) state is in the sample in which more is checked: one state in sixteen is, chosen by its
+/// fingerprint.
 pub(super) const fn is_in_sample(core: u64) -> bool {
     (core / POSTS).is_multiple_of(16)
 }
@@ -51,7 +52,7 @@ impl Mark {
         self.core
     }
 
-    /// Whether the state is kept although only one move is possible in it.
+    /// Whether the state is kept (stored) although only one move is possible in it.
     pub fn is_post(self) -> bool {
         self.core.is_multiple_of(POSTS)
     }

@@ -31,7 +31,8 @@ fn fused(body: impl FnOnce(&mut ProgramBuilder)) -> Rig {
     with_handlers(Fusing::Fused, body)
 }
 
-/// Accepts the registrations of the handlers and the first boundary.
+/// Accepts the registrations of the handlers, and the first boundary (the point between two statements where
+/// handlers may run).
 fn begun(rig: &mut Rig) -> Vec<String> {
     assert_eq!(rig.begin(), ["handle P0 true"]);
     assert_eq!(rig.accept(), ["handle P4 true"]);

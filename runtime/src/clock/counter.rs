@@ -67,7 +67,8 @@ impl Anchor {
         Self { lasts: 1, ..Self::NONE }
     }
 
-    /// The anchor of a thread whose counter stood still for so long (ns), for which it is used on.
+    /// An anchor of a thread that goes on using it although the counter stood still for `nanos`, as in a
+    /// suspend.
     #[cfg(test)]
     pub fn as_before(nanos: u64, clocks: &impl Clocks) -> Self {
         let count = clocks.count();

@@ -33,8 +33,9 @@ impl Protected for Came {
     }
 }
 
-/// A thread brings a bundle of the inputs 1 to `last`, while another thread brings input 4; the inbox has room for two. All come,
-/// those of the bundle in their order. Returns whether the inbox was full, and how many inputs the first thread handled.
+/// A thread brings a bundle of the inputs 1 to `last`, while another thread brings input 4; the inbox has
+/// room for two. All inputs arrive, and those of the bundle in their order. Returns whether the inbox was
+/// full, and how many inputs the first thread handled.
 fn bring_a_bundle(plant: Option<Plant>, last: u8) -> (bool, u32) {
     let handoff = Arc::new(Handoff::planted(Came::default(), None, plant));
     let theirs = Arc::clone(&handoff);

@@ -1,5 +1,6 @@
-//! Scenes of a domain of two members: what one member sends to the other stays with the working thread, which takes it
-//! within the same turn or in its next one.
+//! Scenes of a domain, here two tasks that share one lock. An input that one of the two tasks sends to the
+//! other waits with the working thread. That thread takes it while it still holds the lock (in the same
+//! turn), or in its next turn.
 
 use super::must_fail_large;
 use crate::clock::FAR;
@@ -14,7 +15,8 @@ struct Two {
     got: Vec<u8>,
 }
 
-/// What a thread has for the second member, and how many turns it began to take the rest of it.
+/// The inputs that a thread holds for the second member, and how many further turns (holds of the lock) it
+/// took for them.
 #[derive(Default)]
 struct Carried {
     inside: VecDeque<u8>,
@@ -45,8 +47,9 @@ impl Protected for Two {
     }
 }
 
-/// A thread brings an input, and then takes further turns for what the first member sent, as long as there is something. If
-/// `goes_on` is false, the bug is planted: it takes one turn.
+/// A thread brings an input. Then it takes a further turn, again and again, as long as there is something
+/// that the first member sent to the second. If `goes_on` is false, the bug is planted: the thread takes only
+/// one turn.
 fn bring(handoff: &Handoff<Two, Option<Plant>>, input: u8, goes_on: bool) -> u32 {
     let mut carried = Carried::default();
     handoff.deliver(input, &mut carried);
@@ -57,8 +60,8 @@ fn bring(handoff: &Handoff<Two, Option<Plant>>, input: u8, goes_on: bool) -> u32
     carried.turns
 }
 
-/// Two threads bring an input each. The second member gets all that the first sends, what belongs to one input in its order.
-/// Returns how many further turns each thread took.
+/// Two threads bring an input each. The second member gets all that the first one sends; what belongs to one
+/// input comes in its order. Returns how many further turns each thread took.
 fn two_members(plant: Option<Plant>, goes_on: bool) -> [u32; 2] {
     let handoff = Arc::new(Handoff::planted(Two::default(), None, plant));
     let theirs = Arc::clone(&handoff);

@@ -1,5 +1,6 @@
-//! Scenes of a task that is a future: it waits for an answer, or cancels its request. It shares its hand-off with other
-//! futures, so the answer for it is in the protected state (D187).
+//! Scenes of a task that is a future: it waits for an answer, or cancels its request. It shares its hand-off
+//! (a lock with its inbox) with other futures, so the answer for it is in the state that the lock protects
+//! (D187).
 
 use super::{DEADLOCK, Listed, must_fail};
 use crate::clock::FAR;

@@ -1,5 +1,5 @@
-//! Scenes of the hand-off of input and answers between threads: answers, wake-ups, input that is left for the holder of
-//! the lock, time_outs, and stopping.
+//! Scenes of the hand-off, which is the lock of a communication task with the inbox for its inputs: answers,
+//! wake-ups, input that is left for the holder of the lock, time_outs, and stopping.
 
 use super::{DEADLOCK, Listed, must_fail, must_fail_large};
 use crate::clock::FAR;
@@ -21,7 +21,7 @@ pub(super) enum Brought {
     /// The task takes an answer that is already there.
     Poll,
     Answer,
-    /// An answer arrives; handling it may wait for the task's thread.
+    /// An answer arrives; its handling may wait until the task's own thread takes it.
     News,
     TimeIsUp,
     Nothing,

@@ -44,8 +44,8 @@ fn taking_several_without_a_second_look_waits_for_what_was_left() {
     must_fail_large(DEADLOCK, || take_several(Some(Plant::NoSecondLook)));
 }
 
-/// The task asks and spins while another thread brings two answers, and does not enter again once it has one. Returns how many
-/// the other thread handled.
+/// The task's thread makes a request and spins, while another thread brings two answers. Once the task has
+/// one answer, its thread does not take the lock again. Returns how many answers the other thread handled.
 fn two_come_to_one_that_looks(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let mut worked = 0;

@@ -1,4 +1,5 @@
-//! Scenes of observers that look at a machine while it works, and of news that must not come late.
+//! Scenes of observers that look at a machine while it works, and of a report about a packet that must not
+//! come too late.
 
 use super::{Listed, must_fail};
 use crate::clock::FAR;
@@ -92,7 +93,8 @@ struct Stamper {
     count: usize,
 }
 
-/// The stamp of a step that (the bug) the thread has that brings the input. Without it, the step is stamped by the clock.
+/// The stamp that an input carries if the bug is planted: the bringing thread read the clock outside of the
+/// lock. Without the bug there is no stamp, and the step is stamped by the clock under the lock.
 struct Stamped(Option<u64>);
 
 impl Slotted for Stamped {

@@ -30,7 +30,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 /// The explorer's message when every thread sleeps.
 const DEADLOCK: &str = "deadlock";
 
-/// An input of a scene, one of a few: a slot holds its position among them.
+/// An input of a scene, one of a few possible ones: a slot of the inbox stores its position among them.
 trait Listed: Copy + PartialEq + 'static {
     const ALL: &'static [Self];
 }

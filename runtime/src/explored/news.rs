@@ -1,4 +1,5 @@
-//! Scenes of news, which may wait for a task's thread that runs, and of input that may not.
+//! Scenes of inputs that may wait until a running task's own thread takes them (here called *news*), and of
+//! inputs that may not.
 
 use super::handoff::{Brought, Waited, ask, bring, toy};
 use super::{DEADLOCK, must_fail};
@@ -16,9 +17,9 @@ fn ask_for_news(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
     (waited, other.join().unwrap() == 0)
 }
 
-/// Asserts that all outcomes in `expected` are seen. If every schedule is explored, there is one more: the thread that left
-/// the news sees that the task's thread is about to sleep, and handles the news before that thread checks the inbox. Drawn
-/// schedules rarely show that.
+/// Asserts that all outcomes in `expected` are seen. If every schedule is explored, there is one more
+/// outcome: the thread that left the news sees that the task's thread is about to sleep, and handles the news
+/// before that thread checks the inbox. Schedules that are drawn at random rarely show that outcome.
 fn news_end_every_wait(looks: u32, expected: &[(Waited, bool)]) {
     let seen = explore(move || ask_for_news(None, looks));
     let rare = (Waited::Awake, false);
@@ -40,8 +41,8 @@ fn news_that_waited_are_found_by_who_looks() {
     news_end_every_wait(2, &expected);
 }
 
-/// News come before the task's thread begins to look, or another thread has handled them by then. Returns whether the first
-/// look finds them, although no thread calls the task's thread.
+/// News come before the task's thread begins to look into its inbox, or another thread has handled them by
+/// then. Returns whether the first look finds them, although no other thread wakes the task's thread.
 fn look_after_news(plant: Option<Plant>) -> bool {
     let handoff = toy(plant);
     let mut worked = 0;
@@ -79,7 +80,8 @@ fn without_its_fence_what_was_left_to_a_thread_that_ran_is_not_seen() {
     }
 }
 
-/// An answer comes while the task's thread enters, and computes from then on. Returns whether the other thread handled it.
+/// An answer comes while the task's thread takes the lock; from then on that thread computes. Returns whether
+/// the other thread handled the answer.
 fn answer_one_that_computes(plant: Option<Plant>) -> bool {
     let handoff = toy(plant);
     let mut worked = 0;
@@ -98,7 +100,8 @@ fn what_may_not_wait_is_not_left_to_a_thread_that_computes() {
     must_fail("stayed behind", || answer_one_that_computes(Some(Plant::TrustsTheLook)));
 }
 
-/// Two news come for a thread that has entered, or has not, and computes. At most one may wait there. Returns how many wait.
+/// Two news come for a task's thread that computes, and that has used its communication task before or not.
+/// At most one may wait there. Returns how many wait.
 fn news_for_one_that_computes(is_entered: bool) -> u32 {
     let handoff = toy(None);
     let mut worked = 0;

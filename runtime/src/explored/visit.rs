@@ -1,4 +1,5 @@
-//! Scenes of a visit to the protected state, for example by a script's action that ends, or by a node that starts.
+//! Scenes of a visit: a thread uses the state behind a task's lock without bringing an input, for example
+//! because an action of a script ended, or because the node starts.
 
 use super::handoff::{Brought, Got, Toy};
 use super::{DEADLOCK, must_fail_large};

@@ -195,7 +195,7 @@ fn open(path: &Path) -> Result<File, GateError> {
     file.map_err(|source| GateError::File { path: path.to_owned(), source })
 }
 
-/// Whether epoch `one` is newer than `other`, where epochs wrap around.
+/// Whether epoch `one` is newer than epoch `other`; epochs wrap around.
 const fn is_newer(one: u8, other: u8) -> bool {
     let steps = one.wrapping_sub(other);
     steps != 0 && steps < 128

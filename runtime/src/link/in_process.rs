@@ -29,7 +29,7 @@ pub struct Faults {
     pub duplicates: f64,
     /// The shortest time that a packet takes.
     pub least_delay: Duration,
-    /// The longest time that a packet takes; packets with different delays overtake each other.
+    /// The longest time that a packet takes. Packets that take different times overtake each other.
     pub most_delay: Duration,
 }
 

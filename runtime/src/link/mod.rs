@@ -147,8 +147,9 @@ pub trait Link: Send + Sync {
 /// A link in which a task's thread can wait, one thread at a time. While that thread waits, datagrams from neighbours
 /// are reported to it alone, and to no polling thread. Datagrams from elsewhere are reported to the polling thread.
 pub trait Leading: Send + Sync {
-    /// Waits until something arrives, for at most `left`, or until [`call`](Self::call). It receives nothing itself,
-    /// and may end early (spurious wake-up). It returns [`Came::Time`] only if `left` is zero.
+    /// Waits until something arrives, for at most `left`, or until [`call`](Self::call). This function
+    /// receives nothing itself, and may end early (spurious wake-up). It returns [`Came::Time`] only if
+    /// `left` is zero.
     fn wait(&self, left: Option<Duration>) -> Came;
 
     /// Receives the datagrams that [`wait`](Self::wait) reported or, without a wait, one datagram if there is one.

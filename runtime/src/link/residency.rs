@@ -53,7 +53,7 @@ impl Reading {
     }
 }
 
-/// How long a datagram waited in the kernel, and whether its stamp could be trusted.
+/// How long a datagram waited in the kernel, and whether the kernel's time stamp could be trusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Residency {
     /// The time that the datagram waited, never less than the true time.

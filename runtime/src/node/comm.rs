@@ -22,12 +22,13 @@ pub(crate) struct Comm {
     homes: Arc<Homes>,
     /// The answer that the task's future has not taken yet.
     pub answer: Option<Completion>,
-    /// Whether this task is among the changed members of its domain.
+    /// Whether this task is already in the list of those tasks of its domain (tasks that share one lock) that
+    /// have changed.
     pub changed: bool,
     alarm: Arc<Alarm>,
     cover: Cover,
-    /// Whether the task is one of a couple: then an input takes effect when the task takes it, if that is later than
-    /// its stamp.
+    /// Whether the task belongs to a couple (a primary or its standby). An input of such a task takes effect
+    /// when the task takes it, if that is later than the input's stamp.
     coupled: bool,
     /// The instant on the node's clock at which the machine's own clock began.
     started: Micros,
@@ -125,7 +126,7 @@ impl Comm {
         self.started + self.machine.now().0
     }
 
-    /// The machine takes one step. Its answers go to `answers`.
+    /// Lets the machine take one step. The machine's answers go to `answers`.
     pub fn run(
         &mut self,
         elapsed: Ticks,

@@ -70,7 +70,7 @@ impl Domain {
         self.members[member].runner = Some(runner);
     }
 
-    /// A member takes an input. Returns the answer for its thread.
+    /// Gives an input to a member. Returns the answer for the member's thread.
     fn take(&mut self, member: usize, stamped: &mut Stamped, effects: &mut Effects) -> Option<Completion> {
         match self.members[member].home.run_by {
             RunBy::AnyThread => {
@@ -91,8 +91,9 @@ impl Domain {
         }
     }
 
-    /// The future of a member takes its answer. If there is none yet, it asks. Its answer, and answers for other members that this
-    /// leads to, go to `answers`: the calling thread is that of the futures.
+    /// Takes the answer for a member's future. If there is no answer yet, the future asks. Its answer, and
+    /// the answers for other members to which this leads, go to `answers`, because the calling thread is that
+    /// of the futures.
     pub fn ask(&mut self, member: usize, asked: Asked<'_>, answers: &mut Answers, effects: &mut Effects) {
         if let Some(answer) = self.members[member].answer.take() {
             return answers.put(member, answer);
@@ -112,7 +113,7 @@ impl Domain {
         }
     }
 
-    /// As [`ask`](Self::ask), for a member whose program takes no answers any more.
+    /// As [`ask`](Self::ask), for a member whose program does not take answers any more.
     pub fn tell(
         &mut self,
         member: usize,
@@ -131,7 +132,7 @@ impl Domain {
         turn
     }
 
-    /// As [`turn_of`](Self::turn_of), for a member that says itself whether it changes.
+    /// As [`turn_of`](Self::turn_of), for a member that itself notes whether it changes.
     fn unchanged(&mut self, member: usize) -> Turn<'_> {
         let Self { members, table, homes, changed, .. } = self;
         Turn { members, member, table, homes, changed }
@@ -185,7 +186,8 @@ impl Protected for Domain {
     }
 }
 
-/// What a future asks: that time passes, a request, or a REPLY and the GET that follows once that is accepted (D200).
+/// What a future asks of its communication task: that time passes, a request, or a REPLY and the GET (the
+/// request for the next message) that follows once the REPLY is accepted (D200).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Asked<'a> {
     /// The time of the requests.
@@ -196,7 +198,8 @@ pub(crate) struct Asked<'a> {
     pub then: Option<&'a Request>,
 }
 
-/// Answers for futures that the thread of the futures brought itself, and which their calls find without the lock.
+/// Answers for futures that the thread of the futures brought itself. The calls of these futures find them
+/// here without taking the lock.
 #[derive(Debug, Default)]
 pub(crate) struct Answers {
     /// The answers by member of the domain.
@@ -222,7 +225,8 @@ impl Answers {
     }
 }
 
-/// A communication task of the domain during a turn, and the other members of the domain.
+/// A communication task of the domain, as the holder of the lock works on it, and the other members of the
+/// domain.
 pub(crate) struct Turn<'a> {
     members: &'a mut [Comm],
     member: usize,
@@ -252,8 +256,8 @@ impl Turn<'_> {
         }
     }
 
-    /// The member's future makes its requests, or lets time pass. Whether all that this leads to stands in `answers`, because it was one
-    /// fused step.
+    /// Makes the requests of the member's future, or lets time pass. Returns whether all results of that are
+    /// in `answers`, because it was one fused step.
     fn ask(
         &mut self,
         Asked { at, request, then }: Asked<'_>,
@@ -271,7 +275,7 @@ impl Turn<'_> {
             && self.catch_up_with(at)
             && self.fuse((request, then), &mut ToFutures { own, answers }, effects)
         {
-            // An answer, and a wait without a time_out, bring the task no new deadline.
+            // Two requests bring the task no new deadline: an answer, and a wait without a time_out.
             let last = then.unwrap_or(request);
             if !matches!(last, Request::Reply { .. } | Request::Get { time_out: None, .. }) {
                 self.change(own);

@@ -49,7 +49,7 @@ pub(crate) struct Inside {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum What {
     Input,
-    /// A fused step has given a signal to the member's script.
+    /// A mark that a fused step has given a signal to the member's script.
     Told,
 }
 
@@ -98,7 +98,7 @@ pub(crate) struct Effects {
     pub of_the_futures: bool,
     /// Actions that scripts begin or end.
     pub outside: VecDeque<OutsideEffect>,
-    /// How many steps scripts took since input last came from outside of the node.
+    /// How many steps scripts took since the last input from outside of the node.
     pub steps: u32,
     /// Packets for links, each with the instant at which its remaining time was true.
     pub leaving: Vec<(Micros, Packet)>,

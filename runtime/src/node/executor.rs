@@ -36,7 +36,8 @@ impl Node {
         }
     }
 
-    /// The thread of the futures works on the communication task of one future. Also returns whether the node stops.
+    /// Lets the thread of the futures work on the communication task of one future. Also returns whether the
+    /// node stops.
     pub(crate) fn look_in<R>(
         &self,
         place: usize,

@@ -1,4 +1,4 @@
-//! Wakes a thread of a node that waits in the node's link.
+//! Wakes a thread of a node that waits in the node's link (in its socket).
 
 use crate::link::{Leading, Link};
 use crate::sync::handoff::ThreadWaker;

@@ -98,7 +98,7 @@ impl LocalTask {
         effects.bundles.push(self.home.place(), self.addressed(stamped));
     }
 
-    /// Puts input into the inbox without taking the lock: see [`Handoff::leave`].
+    /// Puts input into the inbox of the task without taking the lock: see [`Handoff::leave`].
     pub fn leave(&self, stamped: Stamped) -> Result<(), Stamped> {
         self.handoff.leave(self.addressed(stamped)).map_err(|input| input.stamped)
     }

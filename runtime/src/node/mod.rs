@@ -190,7 +190,7 @@ impl Node {
     #[must_use]
     pub fn told_until(&self) -> u64 {
         let now = clock::now();
-        // A script step is stamped and reported under its task's lock, so this look follows every step stamped before.
+        // A script step is stamped and reported under its task's lock, which `look` takes: so all earlier steps are reported.
         for local in &self.locals.list {
             if self.look(local, |comm| comm.is_overdue(now)) {
                 self.catch_up(local);
@@ -222,7 +222,7 @@ impl Node {
         entry
     }
 
-    /// A task's thread is back from its wait. `due` says that its deadline has passed.
+    /// Works for a task's thread that is back from its wait. `due` says that the thread's deadline has passed.
     pub(crate) fn come_back(
         &self,
         place: usize,
@@ -301,7 +301,7 @@ impl Node {
                 }
             }
             if effects.queue.is_empty() && effects.called.is_empty() {
-                // Takes the next turn of a domain, now that all its other effects are carried out.
+                // All other effects are carried out, so the thread takes the next turn (hold of the lock) of a domain.
                 let Some(home) = effects.inside.first() else { return };
                 self.locals.list[home.place()].handoff.visit(|_, _| (), effects);
             }
@@ -399,7 +399,7 @@ impl Node {
     }
 }
 
-/// A request of a task that is alone in its domain.
+/// A request of a task that shares its lock with no other task.
 const fn request_of(at: Micros, request: Request) -> Addressed {
     Addressed { member: 0, stamped: Stamped { at, input: Input::Request(request) } }
 }

@@ -15,7 +15,7 @@ pub enum ReplayError {
     /// The recording is damaged.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// The recording was made with another cell.
+    /// The recording was made with a cell of other declarations.
     #[error("the recording is of a cell with digest {recorded:08x}, not {given:08x}")]
     OtherCell {
         /// The digest of the cell in the recording.

@@ -144,7 +144,7 @@ impl<'t> Replay<'t> {
         if self.script.as_mut().is_some_and(|script| !script.expects(&entry.step.input)) {
             self.lose_script();
         }
-        // The script stops now, with its last request, and not at the time of its last act.
+        // The script stops now, with its last request, and not already at the time of its last act.
         if let Input::Request(Request::Cancel) = entry.step.input
             && let Some((at, Happened::Stopped)) =
                 self.happened.as_mut().and_then(|happened| happened.last_mut())
@@ -158,7 +158,7 @@ impl<'t> Replay<'t> {
             Input::Packet(packet) => heard.note(Happened::Came(packet)),
             Input::PeerRestarted(node) => heard.note(Happened::PeerRestarted(node)),
             Input::PeerStopped(node) => heard.note(match machine.view(self.table, 0).state {
-                // Its answer will not come, as after a restart.
+                // The answer for which the task waits will not come, as after a restart of that node.
                 TaskState::AwaitingReply { .. } => Happened::PeerRestarted(node),
                 _ => Happened::Time,
             }),

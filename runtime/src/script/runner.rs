@@ -161,14 +161,15 @@ impl ScriptRunner {
         }
     }
 
-    /// A fused step has given a signal to the script. The script takes the signal when it next continues.
+    /// Notes a signal that a fused step has given to the script. The script takes the signal when it next
+    /// continues.
     #[inline]
     pub fn tell_later(&mut self, signal: Signal) {
         self.host.tell(ScriptInput::Signal(signal));
     }
 
-    /// Makes the request as a fused step, if nothing about it is unusual and no watch wants to see each small step: a REPLY together
-    /// with the GET that the script makes next.
+    /// Makes a request of the script as a fused step, if nothing about it is unusual and no watch wants to
+    /// see each small step. A REPLY is made together with the GET that the script makes next.
     fn fuse(&mut self, comm: &mut Turn<'_>, request: &Request, effects: &mut Effects) -> bool {
         if self.side.watch.is_some() {
             return false;
@@ -298,7 +299,7 @@ impl ScriptOutbox for Out<'_> {
     }
 
     fn ended(&mut self, end: End) {
-        // The other scripts of the node may take as many steps again, because only this script ran away.
+        // Only this script never waited, so the other scripts of the node may take as many steps again.
         if matches!(end, End::Fault { fault: ScriptFault::Runaway, .. }) {
             self.effects.steps = 0;
         }

@@ -10,7 +10,7 @@ use crate::sync::{AtomicU64, Line, Ordering, Word, fence};
 
 #[derive(Debug)]
 pub(crate) struct Alarm<P = Sound> {
-    /// Each in a cache line of its own, because the threads of two tasks publish in turn.
+    /// Each slot is in a cache line of its own, because the threads of two tasks publish in turn.
     slots: Box<[Line<AtomicU64>]>,
     /// The instant until which the Timer thread sleeps.
     target: AtomicU64,

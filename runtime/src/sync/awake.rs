@@ -122,7 +122,7 @@ impl Kind {
 struct SpinHistory {
     /// Whether the last wait was brief: the event that ended it came within the spin budget, however late the thread noticed.
     brief: bool,
-    /// How much more often spinning failed than succeeded, at most [`Self::MOST`].
+    /// By how much failed spins outnumber successful ones, at most [`Self::MOST`].
     vain: u32,
     /// How many waits pass before the thread spins again.
     pause: u32,

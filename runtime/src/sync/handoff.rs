@@ -62,8 +62,8 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         &self.waiting.thread_state
     }
 
-    /// Brings input from any thread. On return the input has been taken, or the present or next holder of the lock will take it, or
-    /// the task's thread will.
+    /// Brings input from any thread. On return the input has been taken, or will be: by the present or the next holder
+    /// of the lock, or by the task's thread.
     pub fn deliver(&self, mut input: S::Input, effects: &mut S::Effects) {
         let may_wait = S::may_wait(&input) && self.inbox.is_entered();
         if !self.waiting.may_take(may_wait)
@@ -162,7 +162,7 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         let completion = loop {
             let completion = core.completion.take();
             let Some(mut next) = completion.as_ref().and_then(&mut more) else { break completion };
-            // A drain moves the inbox's cache line to this core, but a full inbox would make others wait for the lock.
+            // Draining the inbox moves its cache line to this core, but a full inbox makes other threads wait for the lock.
             if self.inbox.is_half_full() {
                 self.inbox.come_in();
                 self.drain(&mut core, effects);
@@ -196,8 +196,9 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         (done, stopped)
     }
 
-    /// Sleeps until there is an answer, the node stops, or `deadline` (nanoseconds of the monotonic clock) passes. Wake-ups may be
-    /// spurious, so the caller enters again and checks. Returns false, without sleeping, if there was an answer or input already.
+    /// Sleeps until there is an answer, the node stops, or `deadline` (nanoseconds of the monotonic clock) passes.
+    /// Wake-ups may be spurious, so the caller checks again under the lock. Returns false, without sleeping, if there
+    /// was an answer or input already.
     pub fn sleep(&self, deadline: Option<u64>) -> bool {
         self.waiting.sleep(deadline, || self.has_left())
     }
@@ -343,7 +344,7 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         done
     }
 
-    /// Takes what is in the inbox: at most what it has room for, so that the lock is held for a bounded time.
+    /// Takes the inputs in the inbox: at most as many as fit into it, so that the lock is held for a bounded time.
     fn drain(&self, core: &mut Core<S>, effects: &mut S::Effects) {
         for _ in 0..inbox::ROOM {
             let Some(mut input) = self.inbox.take(&mut core.taker) else { return };

@@ -6,22 +6,22 @@
 
 use crate::sync::plant::{Plants, Sound};
 use crate::sync::{AtomicU64, Line, Mutex, Ordering, lock};
-/// This is the standard atomic, which no explorer explores, because the flag is only a hint.
+/// This flag is the standard library's atomic, which loom and shuttle do not explore, because the flag is only a hint.
 use std::sync::atomic::AtomicBool;
 
 /// How many inputs fit into an inbox. Once it is full, a thread that brings more waits for the lock.
 #[cfg(not(test))]
 pub(super) const ROOM: u64 = 64;
-/// Explorers make each slot anew for every schedule, and few inputs shall come around.
+/// loom and shuttle make each slot anew for every schedule, and few inputs should be enough to go around the ring.
 #[cfg(test)]
 pub(super) const ROOM: u64 = 2;
 
-/// How many inputs at most wait for a running thread: it works them off whatever it enters for (D130).
+/// How many inputs at most wait for a running thread, because that thread handles all of them at its next call (D130).
 const FOR_A_RUNNER: u64 = ROOM / 2;
 
 /// An input that fits into a slot.
 pub(crate) trait Slotted: Sized {
-    /// Its words.
+    /// The words that an input consists of.
     type Words: AsRef<[u64]> + AsMut<[u64]> + Default;
     /// As many atomics.
     type Atomics: AsRef<[AtomicU64]>;
@@ -32,36 +32,36 @@ pub(crate) trait Slotted: Sized {
     /// The input as words. `None` for an input that is never left.
     fn to_words(&self) -> Option<Self::Words>;
 
-    /// The input that these words are.
+    /// The input that these words represent.
     fn of_words(words: &Self::Words) -> Self;
 }
 
-/// An input in a cache line of its own.
+/// A slot of the inbox: an input in a cache line of its own.
 #[repr(align(64))]
 struct Slot<I: Slotted> {
-    /// How many inputs had been left when this one was, itself included; zero before the first.
+    /// How many inputs had been left up to this one, itself included; zero before the first.
     number: AtomicU64,
     words: I::Atomics,
 }
 
-/// What the threads that leave input share.
+/// The state that the threads that leave input share.
 struct Leaving {
     /// How many inputs were left.
     left: u64,
-    /// How many of them were taken, when a thread that leaves input last asked.
+    /// How many inputs were taken, when a thread that leaves input last loaded that number.
     taken: u64,
 }
 
 /// The bugs that the explorers must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
-    /// The number is in the slot before the words are.
+    /// The number of an input is written to the slot before its words.
     NumberFirst,
-    /// The slot is given back before its words are read.
+    /// The slot is freed before its words are read.
     TakenFirst,
     /// Input is left although there is no room.
     Overfull,
-    /// Input is put into its slot after the lock for its place is released.
+    /// An input is put into its slot after the lock for its place was released.
     OutOfTurn,
 }
 
@@ -70,7 +70,7 @@ pub(crate) struct Inbox<I: Slotted, P = Sound> {
     leaving: Line<Mutex<Leaving>>,
     /// How many inputs were taken. Only a thread that holds the lock of the communication task writes it.
     taken: Line<AtomicU64>,
-    /// Whether the task's thread has entered since too much last waited for it.
+    /// Whether the task's thread has made a call since too much input last waited for it.
     comes_in: Line<AtomicBool>,
     /// The room, and whether a thread found none.
     #[cfg(test)]
@@ -78,13 +78,13 @@ pub(crate) struct Inbox<I: Slotted, P = Sound> {
     plant: P,
 }
 
-/// Takes from an inbox. There is one, behind the lock of the communication task.
+/// Takes input from an inbox. There is one such value, behind the lock of the communication task.
 pub(crate) struct Taker {
     taken: u64,
 }
 
 impl<I: Slotted> Inbox<I> {
-    /// An empty inbox, and what takes from it.
+    /// An empty inbox, and the value that takes input from it.
     pub fn new() -> (Self, Taker) {
         Self::planted(Sound)
     }
@@ -106,8 +106,8 @@ impl<I: Slotted, P: Plants<Plant>> Inbox<I, P> {
         (inbox, Taker { taken: 0 })
     }
 
-    /// Puts input into the inbox, or returns it if there is no room. Says whether more waits now than a running thread shall have to
-    /// work off.
+    /// Puts input into the inbox, or returns the input if there is no room. Returns whether more inputs wait now than a
+    /// running thread should have to handle.
     pub fn leave(&self, input: I) -> Result<bool, I> {
         #[cfg(test)]
         let room = self.room.0;
@@ -116,7 +116,7 @@ impl<I: Slotted, P: Plants<Plant>> Inbox<I, P> {
         let Some(words) = input.to_words() else { return Err(input) };
         let mut leaving = lock(&self.leaving.0);
         if leaving.left - leaving.taken >= FOR_A_RUNNER {
-            // The acquire pairs with the release in `take`: what was in the slot has been read.
+            // The acquire pairs with the release in `take`: the former content of the slot has been read.
             leaving.taken = self.taken.0.load(Ordering::Acquire);
         }
         let waits = leaving.left - leaving.taken;
@@ -131,7 +131,7 @@ impl<I: Slotted, P: Plants<Plant>> Inbox<I, P> {
         if self.plant.has(Plant::NumberFirst) {
             slot.number.store(number, Ordering::Release);
         }
-        // In the order of the numbers, so that no input has to wait in the ring for one before it.
+        // Slots are filled in the order of their numbers, so that no input has to wait in the ring for an earlier one.
         let leaving = (!self.plant.has(Plant::OutOfTurn)).then_some(leaving);
         for (atomic, &word) in slot.words.as_ref().iter().zip(words.as_ref()) {
             atomic.store(word, Ordering::Relaxed);
@@ -159,8 +159,9 @@ impl<I: Slotted, P: Plants<Plant>> Inbox<I, P> {
         Some(I::of_words(&words))
     }
 
-    /// Whether the inbox is empty. The loads are relaxed: a caller that must not miss what `leave` stored fences before. A caller
-    /// that does not hold the lock of the communication task may find input that another thread has taken meanwhile.
+    /// Whether the inbox is empty. The loads are relaxed: a caller that must not miss what `leave` stored makes a fence
+    /// before. A caller that does not hold the lock of the communication task may see input that another thread has
+    /// taken meanwhile.
     pub fn is_empty(&self) -> bool {
         !self.holds(1)
     }
@@ -177,7 +178,7 @@ impl<I: Slotted, P: Plants<Plant>> Inbox<I, P> {
     }
 
     fn slot(&self, before: u64) -> &Slot<I> {
-        // The remainder is less than the length of the slice.
+        // The index is less than the length of the slice.
         &self.slots[(before % ROOM) as usize]
     }
 
@@ -191,7 +192,7 @@ impl<I: Slotted, P: Plants<Plant>> Inbox<I, P> {
         self.set_entered(false);
     }
 
-    /// Whether the task's thread enters so often that input may be left to it. It is only a hint.
+    /// Whether the task's thread makes calls so often that input may be left to it. This is only a hint.
     pub fn is_entered(&self) -> bool {
         self.comes_in.0.load(Ordering::Relaxed)
     }

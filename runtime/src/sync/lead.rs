@@ -50,7 +50,7 @@ pub(crate) struct Lead<P = Sound> {
 /// The bug that the explorers must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
-    /// A leader whose own wait is over does not receive the datagram that the kernel reported to it.
+    /// A leader whose own wait is over leaves the datagram that the kernel reported to it in the socket.
     LeavesBlindly,
 }
 

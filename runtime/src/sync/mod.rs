@@ -46,7 +46,8 @@ mod real {
     }
 }
 
-/// A value in cache lines of its own, because several cores write it, or what would be beside it.
+/// A value in cache lines of its own, because several cores write the value, or would write other values in the same
+/// line.
 #[derive(Debug)]
 #[repr(align(64))]
 pub(crate) struct Line<T>(pub T);

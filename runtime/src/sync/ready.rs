@@ -52,7 +52,8 @@ impl<P: Plants<Plant>> ReadyFutures<P> {
         Self { words: (0..count).step_by(BITS).map(marks).collect(), park, plant }
     }
 
-    /// Marks the future at `place` as ready. A waker that marked it before has called the thread, or is about to.
+    /// Marks the future at `place` as ready. If the future is marked already, the waker that marked it has called the
+    /// thread, or is about to.
     pub fn wake(&self, place: usize) {
         if self.plant.has(Plant::CallsFirst) {
             self.park.call();

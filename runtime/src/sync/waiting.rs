@@ -48,19 +48,20 @@ pub(crate) enum Plant {
     DropsWhenFull,
     /// A thread that left inputs of a bundle does not check whether the lock was released meanwhile.
     LeavesItsBundle,
-    /// The lock's holder processes what it brings before what was left.
+    /// The lock's holder processes its own input before the input that was left in the inbox.
     Overtakes,
-    /// A thread that has spun goes to sleep without checking the word again.
+    /// A thread that has spun goes to sleep without checking its word again.
     SleepsBlindly,
-    /// A thread that left input that may not wait does not check whether the task's thread spins.
+    /// A thread that has left input which may not wait does not check whether the task's thread spins.
     TrustsTheLook,
-    /// A thread that left input that may wait does not check whether the task's thread runs.
+    /// A thread that has left input which may wait does not check whether the task's thread runs.
     TrustsTheRun,
-    /// A thread that goes to sleep does not check for input that was left to it.
+    /// A thread goes to sleep without checking for input that was left to it.
     SleepsOnIt,
-    /// A thread that spins checks only its word, and not the inbox.
+    /// A spinning thread checks only its word, and not the inbox.
     LooksPastIt,
-    /// Neither a thread to which input is left nor the one that leaves it has a fence between its write and its read.
+    /// The fence between write and read is missing, both in the thread to which input is left and in the thread that
+    /// leaves it.
     NoFenceForARunner,
 }
 
@@ -91,8 +92,9 @@ impl<P: Plants<Plant>> Waiting<P> {
         self.word.0.load() == RUNNING
     }
 
-    /// Whether the thread is about to take input, which may wait for a running thread or not. Another thread may change that at any
-    /// time, so one that leaves input [asks again](Self::takes).
+    /// Whether the task's thread is about to take input that other threads leave to it. `may_wait` says whether the
+    /// input may wait for a running thread. The answer may change at any time, so a thread that has left input [asks
+    /// again](Self::takes).
     pub fn may_take(&self, may_wait: bool) -> bool {
         match self.word.0.load() {
             LOOKING => true,
@@ -106,8 +108,8 @@ impl<P: Plants<Plant>> Waiting<P> {
         self.word.0.load() == READY
     }
 
-    /// The thread enters, under the lock. It writes only if needed, because others read the word's cache line. All others write
-    /// the word under the lock, too.
+    /// Notes that the task's thread makes a call; the thread holds the lock. The word is written only if needed,
+    /// because other threads read its cache line. All other writes of the word happen under the lock, too.
     pub fn comes_in(&self) {
         if !self.is_running() {
             self.word.0.store(RUNNING);
@@ -144,7 +146,8 @@ impl<P: Plants<Plant>> Waiting<P> {
         }
     }
 
-    /// Sleeps until the word is marked or `deadline` passes, unless something `was_left`. False if there was something already.
+    /// Sleeps until the word is marked or `deadline` passes. Returns false, without sleeping, if there is an answer, or
+    /// if `was_left` says that input was left.
     pub fn sleep(&self, deadline: Option<u64>, was_left: impl FnOnce() -> bool) -> bool {
         if !self.goes(SLEEPING, was_left) {
             return false;
@@ -154,7 +157,8 @@ impl<P: Plants<Plant>> Waiting<P> {
         true
     }
 
-    /// The thread is about to wait in state `to`. Returns false if there is an answer or input for it.
+    /// Notes that the thread is about to wait, in the state `to`. Returns false if there is an answer or input for the
+    /// thread.
     pub fn goes(&self, to: u32, was_left: impl FnOnce() -> bool) -> bool {
         // This comes before the word changes, because a thread that sees the new word and wakes this thread counts it
         // as running again.
@@ -174,7 +178,7 @@ impl<P: Plants<Plant>> Waiting<P> {
         true
     }
 
-    /// The thread leaves its waiting state `from`. Returns false if it was called.
+    /// Notes that the thread leaves its waiting state `from`. Returns false if another thread has called it.
     pub fn comes(&self, from: u32) -> bool {
         let uncalled = self.word.0.replace(from, RUNNING);
         if uncalled {
@@ -183,29 +187,31 @@ impl<P: Plants<Plant>> Waiting<P> {
         uncalled
     }
 
-    /// The thread begins to spin. True if there is something for it already.
+    /// Notes that the thread begins to spin. Returns true if there is an answer or input for the thread already.
     pub fn begins_to_look(&self) -> bool {
         !self.word.0.replace(RUNNING, LOOKING)
     }
 
-    /// The thread stops spinning. Returns true if it was called.
+    /// Notes that the thread stops spinning. Returns true if another thread has called it.
     pub fn ends_its_look(&self) -> bool {
         !self.word.0.replace(LOOKING, RUNNING)
     }
 
-    /// Whether input was left to the thread while it ran or span. Called after the word has the value with which it waits.
+    /// Whether input was left to the thread while it ran or spun. Called once the word has the value with which the
+    /// thread waits.
     fn asks(&self, was_left: impl FnOnce() -> bool) -> bool {
         if self.plant.has(Plant::SleepsOnIt) {
             return false;
         }
-        // Pairs with the fence in `takes`: either its load sees the new word, or `was_left` sees the new input.
+        // This fence pairs with the one in `takes`: either the load there sees the new word, or `was_left` here sees
+        // the new input.
         self.fence_for_a_runner();
         was_left()
     }
 
-    /// Whether the thread takes the input that was left to it a moment ago, and that may wait for a running thread or not. The
-    /// fence, between the store into the inbox and the load of the word, pairs with the one in `asks`, and with the one before a
-    /// thread that has entered rechecks the inbox.
+    /// Whether the task's thread takes the input that was left to it a moment ago. `may_wait` says whether the input
+    /// may wait for a running thread. The fence, between the store into the inbox and the load of the word, pairs with
+    /// two others: the one in `asks`, and the one before a thread that has made a call rechecks the inbox.
     pub fn takes(&self, may_wait: bool) -> bool {
         self.fence_for_a_runner();
         self.may_take(may_wait)

@@ -67,7 +67,7 @@ fn with_keys_only_the_neighbour_itself_says_goodbye() {
     assert_eq!(b.count(UdpCount::GoodbyesReceived), 1);
 }
 
-/// Node `a` has a task that asks a task of node `b`, whose time_out is longer than any test waits.
+/// Node `a` has a task that asks a task of node `b`. The time_out of the question is longer than any test waits.
 #[test]
 fn a_request_to_a_node_that_leaves_ends_at_once() {
     let mut cell = Cell::new("leave", Ticks(1_000));

@@ -25,7 +25,8 @@ fn a_delay_is_bounded_by_the_round_trip_and_never_less_than_the_truth() {
         at_a.take_packets(&a, 1);
     }
     let told = report(&a, B);
-    // An exchange that took longer than the clocks may drift is not measured, on a machine that does other things.
+    // If an exchange took so long that the clocks may have drifted apart, it is not measured. That happens on a busy
+    // machine.
     assert_eq!(told.delay.count + told.unmeasured, 40);
     assert!(told.delay.count > 0 && told.delay.p50_us <= told.delay.p99_us, "{told:?}");
     assert!(told.delay.max_us <= u64::try_from(begun.elapsed().as_micros()).unwrap(), "{told:?}");
@@ -46,7 +47,8 @@ fn a_datagram_that_was_held_back_is_late() {
     };
     (1..=5).for_each(|number| exchange(number, None));
     let before = report(&b, A).delay;
-    // The sender is stopped between its clock and its socket, after an exchange that bounds the clocks closely.
+    // The sender is stopped between the reading of its clock and the send call, after an exchange that bounds the
+    // offset of the clocks closely.
     let held = Duration::from_millis(100);
     let read_at = Instant::now();
     thread::sleep(held);
@@ -69,7 +71,7 @@ fn without_an_exchange_nothing_is_measured() {
     assert_eq!((told.delay.count, told.unmeasured), (0, 3), "no datagram has an echo");
 }
 
-/// B, and a socket whose address is that of A in B's address book.
+/// The link of node B, and a socket whose address is that of A in B's address book.
 fn beside() -> (UdpLink, UdpSocket) {
     let (b, at_a) = (link(B), raw_socket());
     b.set_address(A, Some(at_a.local_addr().unwrap())).unwrap();

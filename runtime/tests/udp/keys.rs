@@ -96,7 +96,7 @@ fn a_node_that_starts_again_is_heard() {
     assert_eq!(at_b.take_discards(&b, 1), [LinkDiscard::StaleSession]);
 }
 
-/// The neighbour goes on in the session with the node's earlier start until it has a datagram of the new one.
+/// The neighbour goes on in the session with the node's earlier start until it gets a datagram in the new session.
 #[test]
 fn a_node_that_only_listens_is_spoken_to_though_its_first_greeting_was_lost() {
     let keys = keys();

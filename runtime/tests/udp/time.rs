@@ -47,7 +47,8 @@ fn the_stamp_alone_tells_how_long_each_datagram_waited() {
     let most = second.elapsed();
     assert!(charges[0] >= micros(LONG) + BOUND.0, "{charges:?}");
     assert!(charges[1] >= BOUND.0, "{charges:?}");
-    // The second datagram is not charged for the wait of the first, however long the machine took to receive both.
+    // The second datagram is not charged for the time for which the first one waited, however long the machine took to
+    // receive both.
     assert!(charges[1] <= micros(most) + BOUND.0 + 100_000, "{charges:?}, the second within {most:?}");
 }
 

@@ -115,7 +115,7 @@ fn a_wake_ends_the_present_or_the_next_poll() {
     assert_eq!(b.poll(&memory, None), PollEnd::Woken);
     thread::scope(|s| {
         let polls: Vec<_> = (0..3).map(|_| s.spawn(|| b.poll(&memory, None))).collect();
-        // Each wake-up ends every poll that has begun. A poll that had not begun takes the next wake-up.
+        // Each wake-up ends every poll that has begun. The wake-up after that ends a poll that had not begun.
         let end = Instant::now() + PATIENCE;
         while !polls.iter().all(thread::ScopedJoinHandle::is_finished) {
             assert!(Instant::now() < end);

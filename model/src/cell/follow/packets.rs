@@ -52,7 +52,8 @@ impl Follower {
             let packet = &carried.packet;
             from.index() == node && packet.source.index() == task && packet.id == id
         };
-        // A copy that had no time left did not leave in the model either, and the model's node knows it already.
+        // A copy that had no time left did not leave in the model either, and the sender's node of the model knows that
+        // already.
         let Some(at) = cell_state.in_flight.iter().position(is_it) else { return Ok(()) };
         cell_state.in_flight.remove(at);
         let step = cell_state.step(node, NodeInput::Unsent(TaskId::from_index(task), id));

@@ -84,7 +84,7 @@ fn walk(plan: &Arc<CellPlan>, faults: &CellFaults, draw: &mut Draw, missing: &mu
         }
         moves.clear();
         run_state.moves(&mut moves);
-        // Losing one more packet of an open cut is no new fault.
+        // Losing one more packet of a link whose cut has begun is no new fault.
         let is_fault = |step: &CellMove| step.is_fault() && !matches!(step, CellMove::Vanish(_));
         // Faults are drawn rarely, or they would all happen at the beginning of a walk.
         if draw.below(64) > 0 && moves.iter().any(|step| !is_fault(step)) {

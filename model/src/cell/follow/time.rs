@@ -36,7 +36,8 @@ impl Follower {
         look.0
     }
 
-    /// Lets a node count up to a tick, but not to an instant at which it would act: the run shows later when that happens.
+    /// Lets a node count up to a tick, but not up to an instant at which it would act: the run shows later when that
+    /// action happens.
     pub(super) fn catch_up(&mut self, node: usize, now: u64) -> Result<(), No> {
         while self.clocks[node] < now {
             let left = now - self.clocks[node];

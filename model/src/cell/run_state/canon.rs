@@ -214,7 +214,7 @@ fn or_none<W: Walk>(ticks: &mut Option<u32>, w: &mut W) {
 
 /// Walks an optional time, in the form that `or_none` uses.
 fn walk_left<W: Walk>(left: &mut Option<Ticks>, w: &mut W) {
-    // What was there before a pass that reads means nothing any more: it may be a symbol of another run.
+    // A pass that reads ignores the former value, because that may be a symbol of another run.
     let mut read = left.filter(|_| !W::READS).map_or(Ticks::ZERO, |left| left + Ticks(1));
     w.left(&mut read, true);
     *left = (!read.is_zero()).then(|| read - Ticks(1));

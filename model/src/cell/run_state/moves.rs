@@ -171,7 +171,7 @@ impl RunState {
         if self.beside.fail > 0 {
             moves.push(CellMove::Acted(task, level, false, 0));
         }
-        // With symbolic times, `zones` takes the times at which the action goes on.
+        // With symbolic times, the search by zones chooses the times at which the action goes on.
         if self.cell.is_symbolic || !action.most.is_zero() {
             moves.push(CellMove::GoOn(task, level));
         }
@@ -221,7 +221,8 @@ impl RunState {
 
     /// Whether any event is to come.
     fn goes_on(&self) -> bool {
-        // With symbolic times, `events` asks which of them come in the next tick; this asks only whether they come.
+        // With symbolic times, `events` asks the zone which events come in the next tick; this code asks only whether
+        // any event comes.
         if self.cell.is_symbolic {
             return self.limits().any(|left| left <= LATEST);
         }

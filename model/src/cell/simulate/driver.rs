@@ -22,7 +22,7 @@ pub(super) enum Source<'a> {
 enum Spread {
     /// Each alternative has the same chance.
     Even,
-    /// In half of the draws the first or the last alternative is chosen.
+    /// Half of the draws choose the first or the last alternative, the others any alternative.
     Ends,
 }
 

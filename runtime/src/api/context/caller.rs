@@ -113,7 +113,8 @@ impl Caller {
         }
     }
 
-    /// The answer for the future that its thread brought without the lock.
+    /// The answer that the thread of the futures itself brought for this future, so that the lock need not be
+    /// taken.
     fn brought(&self) -> Option<Completion> {
         self.answers.as_ref()?.borrow_mut().take(self.member)
     }
@@ -197,8 +198,8 @@ impl Caller {
             self.wait(kind, now, until, waited);
             waited = true;
             now = clock::now();
-            // The thread acts on the deadline a spin tail before it is due, because that early call brings code and
-            // data into the caches.
+            // The thread wakes a spin tail (the time for which it spins at the end of a wait) before the
+            // deadline. This early call also brings code and data into the caches.
             let due = now.saturating_add(self.node.spin_tail) >= until;
             entry = self.node.come_back(self.place, now, due, more, &mut self.effects);
         }
@@ -224,7 +225,8 @@ impl Caller {
         }
         let node = &self.node;
         let local = &node.locals.list[self.place];
-        // If a wait for a time alone must be exact, the thread sleeps on its word, not in the link.
+        // A wait for a time alone (a delay) must be exact if the program set the tail. Then the thread sleeps
+        // on its own futex word, not in the link.
         let link = node.link.as_ref().filter(|_| !node.is_exact || kind.is_some());
         let leading = link.and_then(|link| link.leading());
         // `by_link` is set again when the link brings an answer for this task, whichever thread receives it.

@@ -46,7 +46,7 @@ pub(super) trait Calls {
         self.ask_after(None, request)
     }
 
-    /// Whether a message that came for a call that was dropped may wait.
+    /// Whether a message that came for a call whose future was dropped may be kept for a later call.
     fn keeps(&self) -> bool {
         false
     }

@@ -34,11 +34,12 @@ pub(super) struct LinkDelay {
 /// How long a datagram has taken on its hop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Hop {
-    /// It took no longer than this.
+    /// The datagram took no longer than this.
     pub(super) longest: Ticks,
-    /// It took at least this long: it was later than the fastest recent datagram by so much.
+    /// The datagram took at least this long: it was by so much later than the fastest recent datagram.
     pub(super) shortest: Ticks,
-    /// Whether an echo proves `longest`. Otherwise it depends on the declared bound.
+    /// Whether an echo of this node's clock proves `longest`. Otherwise `longest` depends on the declared
+    /// bound of the link.
     pub(super) is_proven: bool,
 }
 

@@ -1,8 +1,9 @@
-//! The goodbye of a node that has stopped in order (D205), and how its neighbours take it.
+//! The goodbye of a node that has stopped in order (D205), and how its neighbours handle it.
 //!
-//! A goodbye is the last datagram of a session. It counts only if it is of the session that this node knows, and newer than all that
-//! came of it: with keys only the neighbour can make it. It needs no answer, and a lost one changes nothing: the neighbours
-//! then learn by their time_outs.
+//! A goodbye is the last datagram of a session. It counts only if it belongs to the session that this node
+//! knows, and is newer than all other datagrams of that session. With keys only the neighbour can make such a
+//! datagram. A goodbye needs no answer, and a lost one changes nothing: the neighbours then learn by their
+//! time_outs that the node has stopped.
 
 use super::UdpLink;
 use super::keys::Live;
@@ -24,7 +25,8 @@ const COPIES: u32 = 3;
 const PAUSE: Duration = Duration::from_millis(5);
 
 impl UdpLink {
-    /// Tells every neighbour with which this node has talked that it has stopped. Takes some 10 ms, whether they hear it or not.
+    /// Tells every neighbour with which this node has talked that this node has stopped. Takes some 10 ms,
+    /// whether the neighbours receive the goodbye or not.
     pub(super) fn say_goodbye(&self) {
         let met = |peer: &&Peer| peer.met.load(Ordering::Relaxed);
         for copy in 0..COPIES {
@@ -40,10 +42,11 @@ impl UdpLink {
 }
 
 impl Together<'_> {
-    /// Takes a goodbye. The first one of the neighbour's session is reported to the sink.
+    /// Handles a goodbye. The first goodbye of the neighbour's session is reported to the sink.
     ///
     /// # Errors
-    /// It is not of the session that this node knows, and does not prove when it was sent; or something newer of its session came.
+    /// The goodbye is not of the session that this node knows, and does not prove when it was sent; or a
+    /// newer datagram of its session came before.
     pub(super) fn hears_goodbye(
         &mut self,
         peer: &Peer,
@@ -57,7 +60,7 @@ impl Together<'_> {
             link.proof(peer, known.as_ref(), envelope, by).or_else(|| link.sent_after(envelope, at));
         let contact =
             judge(known.as_ref(), envelope, sent_after, || false).map_err(|unheard| unheard.reason)?;
-        // What waits here was sent before.
+        // The packets that wait here were sent before the goodbye, so they are handed over first.
         self.hand_over();
         if let Contact::New { .. } = contact {
             if sent_after.is_none() {

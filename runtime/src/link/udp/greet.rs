@@ -65,7 +65,7 @@ impl UdpLink {
         self.uncounted.store(true, Ordering::Release);
         let end = Instant::now() + within;
         let is_silent = |peer: &&Peer| {
-            // Who has no keys can claim that the keys differ.
+            // A process without keys can claim that the keys differ, so this is only a hint.
             let hint = |refusal: Refusal| {
                 matches!(refusal.why, Refused::OtherKeys | Refused::OtherMode | Refused::OtherVersion)
             };
@@ -136,7 +136,7 @@ impl UdpLink {
         let mut outgoing = lock(&peer.outgoing);
         let sent = match self.closing(peer, route, outgoing.counter) {
             Ok(Closing::Checksum) => {
-                // A goodbye is the last of its session, which its counter shows.
+                // A goodbye is the last datagram of its session, which its counter shows.
                 let counter = if purpose == Purpose::Goodbye { outgoing.next() } else { envelope.counter };
                 let bytes = without_packets(&Envelope { counter, ..envelope }, self.digests());
                 self.transmit(&bytes, route)

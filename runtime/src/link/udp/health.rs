@@ -10,7 +10,8 @@ use imrs_wire::obs::{Delays, LinkReport};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// The recent time is at least this long, in microseconds, and twice as long at most if it is read often.
+/// The *recent* time covers at least so many microseconds, and at most twice as many if the counters are read
+/// often.
 const RECENT: u64 = 5_000_000;
 /// A datagram is measured if the drift of the clocks since the last exchange may be at most this part of the link's bound.
 const DRIFT_PART: u64 = 8;
@@ -21,9 +22,10 @@ pub(super) struct Health {
     delays: Histogram,
     late: AtomicU64,
     unmeasured: AtomicU64,
-    /// When this node last sent the neighbour a datagram. The neighbour's next datagram echoes it.
+    /// When this node last sent the neighbour a datagram. The neighbour's next datagram echoes this instant.
     sent_at: AtomicU64,
-    /// How long ago that may be at most, so that the drift of the clocks since then hardly counts.
+    /// For how long after `sent_at` a datagram of the neighbour is measured: as long as the drift of the
+    /// clocks hardly counts.
     fresh_for: u64,
     declared: Ticks,
     marks: Mutex<Marks>,
@@ -45,7 +47,7 @@ struct Mark {
 }
 
 impl Health {
-    /// Nothing was measured yet. `declared` is the bound of the link.
+    /// The state in which nothing was measured yet. `declared` is the bound of the link.
     pub(super) fn new(declared: Ticks) -> Self {
         Self {
             delays: Histogram::default(),
@@ -64,7 +66,7 @@ impl Health {
         self.sent_at.store(at, Ordering::Relaxed);
     }
 
-    /// Takes the hop of an accepted datagram. One thread at a time calls this.
+    /// Adds the measured hop of an accepted datagram. Only one thread at a time calls this.
     pub(super) fn arrived(&self, hop: &Hop, at: u64) {
         let since = at.saturating_sub(self.sent_at.load(Ordering::Relaxed));
         // Only one thread writes, so no increment is lost between the load and the store.

@@ -1,11 +1,12 @@
 //! Decides from damaged datagrams whether a link counts as faulty (D205).
 //!
-//! Damaged datagrams alone prove nothing about a link: anybody can send garbage under a neighbour's address. But a link that damages
-//! datagrams loses them, too, and a gap in the neighbour's counters shows each loss. Garbage that another program adds makes no gap. So
-//! a link counts as faulty if in one window more than [`FAILURES`] datagrams were damaged *and* more than as many of the neighbour's
-//! are missing. If so many were damaged and none are missing, the window is counted as unmatched.
+//! Damaged datagrams alone prove nothing about a link: anybody can send garbage with a neighbour's address as
+//! its source. But a link that damages datagrams thereby loses them, and a gap in the neighbour's counters
+//! shows each loss. Garbage that another program adds makes no gap. So a link counts as faulty if two numbers
+//! in one window both exceed [`FAILURES`]: that of the damaged datagrams, *and* that of the neighbour's
+//! datagrams that are missing. If only the first number does, the window is counted as unmatched.
 //!
-//! That a link counts as faulty changes nothing of what the node sends or accepts: it is a warning.
+//! A faulty link is only a warning: it changes nothing of what the node sends or accepts.
 
 use imrs_wire::envelope::Session;
 use imrs_wire::obs::Integrity;
@@ -35,7 +36,7 @@ impl Progress {
     }
 }
 
-/// What is known of the damaged datagrams of one neighbour.
+/// What this node knows of the damaged datagrams of one neighbour.
 #[derive(Debug, Default)]
 pub(super) struct IntegrityWatch {
     told: Integrity,
@@ -63,7 +64,7 @@ impl IntegrityWatch {
         self.judge(now, progress);
     }
 
-    /// What is known at the instant `now`.
+    /// What this node knows at the instant `now`.
     pub(super) fn report(&mut self, now: u64, progress: Progress) -> Integrity {
         self.judge(now, progress);
         Integrity { is_faulty: now < self.faulty_until, ..self.told }
@@ -75,7 +76,7 @@ impl IntegrityWatch {
         if is_much && !window.is_faulty && progress.missing_since(&window.before) > FAILURES {
             window.is_faulty = true;
             self.told.faults += u64::from(now >= self.faulty_until);
-            // It counts as faulty until a whole window has passed without a fault.
+            // The link counts as faulty until a whole window has passed without a fault.
             self.faulty_until = window.begun.saturating_add(2 * WINDOW);
         }
         if now.saturating_sub(window.begun) >= WINDOW {
@@ -89,7 +90,8 @@ impl IntegrityWatch {
 mod tests {
     use super::*;
 
-    /// A neighbour that has sent so many datagrams, of which this node has accepted so many.
+    /// The progress of a neighbour that has sent `next` datagrams, of which this node has accepted
+    /// `accepted`.
     fn progress(next: u64, accepted: u64) -> Progress {
         Progress { session: Some(Session(1)), next, accepted }
     }
@@ -104,7 +106,7 @@ mod tests {
             );
             watch.failed(number, progress(number, 0));
         }
-        // The next datagram that arrives whole shows that all those before are missing.
+        // The next datagram that arrives whole shows that all datagrams before it are missing.
         let told = watch.report(20, progress(FAILURES + 2, 1));
         assert_eq!(told, Integrity { failures: FAILURES + 1, is_faulty: true, faults: 1, unmatched: 0 });
         let later = progress(500, 499 - FAILURES);

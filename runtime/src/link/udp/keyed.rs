@@ -25,16 +25,17 @@ pub(super) enum Closing {
     Keys(Arc<Live>),
 }
 
-/// A datagram for this link, and the session whose keys closed it.
+/// A datagram for this link, decrypted, and the session whose keys encrypted it.
 pub(super) type Unlocked<'a> = (Opened<'a>, Option<Arc<Live>>);
 
 impl UdpLink {
-    /// From now on these keys close every datagram, and the link accepts no other datagrams: a forged, changed or
-    /// repeated one changes nothing. Neighbours need keys of the same cell. Call this before the link is used.
+    /// From now on these keys encrypt every datagram, and the link accepts no other datagrams: a forged,
+    /// changed or repeated one changes nothing. Neighbours need keys of the same cell. Call this before the
+    /// link is used.
     ///
     /// # Errors
-    /// [`UdpError::NoKey`] if `keys` lacks the public key of a neighbour, [`UdpError::NoRandom`] if the system gives no
-    /// random numbers.
+    /// [`UdpError::NoKey`] if `keys` lacks the public key of a neighbour, [`UdpError::NoRandom`] if the
+    /// system gives no random numbers.
     pub fn with_keys(mut self, keys: &NodeKeys) -> Result<Self, UdpError> {
         let (digests, session, me) = (self.digests(), self.session, self.table.node);
         for (place, peer) in self.peers.iter_mut().enumerate() {
@@ -87,8 +88,8 @@ impl UdpLink {
         session.map(Closing::Keys)
     }
 
-    /// Repeats the questions for sessions, and the greetings in them, that were not answered. Returns when to do so again, if any is left. Called by the
-    /// polling thread.
+    /// Repeats the requests for sessions that were not answered, and the greetings in new sessions. Returns
+    /// when to do so again, if any is still unanswered. The polling thread calls this.
     pub(super) fn knock(&self) -> Option<Instant> {
         if !self.knocks.swap(false, Ordering::AcqRel) {
             return None;
@@ -106,8 +107,9 @@ impl UdpLink {
         is_left.then(|| Instant::now() + LOOK_EVERY)
     }
 
-    /// Repeats the greeting in a new session until the neighbour has sent something in it: if the first one was lost, the neighbour does
-    /// not know of the session. Returns whether it is still to be repeated.
+    /// Repeats the greeting in a new session until the neighbour has sent a datagram in it: if the first
+    /// greeting was lost, the neighbour does not know of the session. Returns whether the greeting must be
+    /// repeated again.
     fn greet_again(&self, peer: &Peer) -> bool {
         let now = self.micros(Instant::now());
         let (waits, is_due) = match &mut *lock(&peer.channel) {
@@ -121,8 +123,8 @@ impl UdpLink {
         waits && lock(&peer.route).is_some()
     }
 
-    /// The datagram in `bytes`, if it is one that a session has closed; opened into `room`. `None` if it was one of a handshake:
-    /// then everything is done.
+    /// Decrypts the datagram in `bytes` into `room`, if it belongs to a session. Returns `None` if it belongs
+    /// to a handshake: then it has been handled completely.
     ///
     /// # Errors
     /// The reason for which the datagram is dropped. Nothing has changed then, except the result of
@@ -173,7 +175,7 @@ impl UdpLink {
             }
             Answer::Made => {
                 self.statistics.add(UdpCount::SessionsMade, 1);
-                // The neighbour uses the session once it has a datagram of it.
+                // The neighbour sends in the session once it has received a datagram in it.
                 self.knocks.store(true, Ordering::Release);
                 self.session_made();
                 let heard = *lock(&peer.heard);
@@ -206,9 +208,10 @@ impl UdpLink {
         self.polling.wake().wake();
     }
 
-    /// With keys, returns the proof that a datagram is later than everything that this node accepted before: it is of a
-    /// session from which this node has accepted nothing yet, and that session is still valid. Called while what is
-    /// known of the neighbour is locked, so that a late datagram of an ended session does not take over.
+    /// With keys, returns the proof that a datagram is later than everything that this node accepted before:
+    /// the datagram is of a session from which this node has accepted nothing yet, and that session is still
+    /// valid. The caller holds the lock of the neighbour's state, so that a late datagram of an ended session
+    /// cannot replace the present one.
     pub(super) fn proof(
         &self,
         peer: &Peer,
@@ -253,8 +256,9 @@ impl UdpLink {
         }
     }
 
-    /// Something of another version came from the address of a neighbour. If this node has not talked with it, says so to people, and
-    /// the first time shows the neighbour at once which version this node has. Nothing more can be read of the datagram.
+    /// Handles a datagram of another version from the address of a neighbour. If this node has not talked
+    /// with that neighbour yet, it records a hint for people, and the first time it sends the neighbour a
+    /// datagram, which shows the neighbour the version of this node. The rest of the datagram cannot be read.
     fn hint_at_version(&self, peer: &Peer) {
         if peer.met.load(Ordering::Relaxed) {
             return;

@@ -103,7 +103,7 @@ pub(super) struct Route {
 /// Whether the kernel cuts the data for a neighbour into full datagrams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Segments {
-    /// The kernel was not asked to, because no send has filled more than one datagram yet.
+    /// The kernel was not asked to cut data, because no send has filled more than one datagram yet.
     NotYet,
     Cut,
     Refused,

@@ -28,7 +28,7 @@ pub(super) struct Known {
     newest_at: u64,
     /// When a datagram of the session was last accepted.
     last: u64,
-    /// How many datagrams of the session were accepted that have a counter of their own.
+    /// How many datagrams of the session were accepted, except greetings without a counter of their own.
     accepted: u64,
     pub(super) delay: LinkDelay,
 }
@@ -39,10 +39,10 @@ impl Known {
         Progress { session: Some(self.session), next: self.window.next(), accepted: self.accepted }
     }
 
-    /// Notes the goodbye with this counter.
+    /// Notes a goodbye with this counter.
     ///
     /// # Errors
-    /// Something newer of the session came before.
+    /// A newer datagram of the session came before.
     pub(super) fn ends(&mut self, counter: u64) -> Result<(), LinkDiscard> {
         if !self.window.is_newest(counter) {
             return Err(LinkDiscard::Replayed);
@@ -52,7 +52,7 @@ impl Known {
         Ok(())
     }
 
-    /// Notes a greeting that keys have closed, so that it has a counter of its own.
+    /// Notes a greeting that was encrypted with keys, because such a greeting has a counter of its own.
     pub(super) const fn has_greeted(&mut self) {
         self.accepted += 1;
     }

@@ -1,4 +1,5 @@
-//! A member of a domain takes a request as one fused step (D176, D200).
+//! Requests of a domain's member as fused steps: one step does what several small steps would do (D176,
+//! D200).
 
 use super::Turn;
 use crate::clock::Micros;
@@ -10,9 +11,9 @@ use crate::script::ScriptRunner;
 use imrs_protocol::{Fusible, NodeId, NodeOutbox, Observation, Packet, Request, Signal, TaskId};
 
 impl Turn<'_> {
-    /// The member takes a request as one fused step with the other members that it concerns (D176, D193), and `then` the GET after the
-    /// REPLY that the request is (D200). False, and nothing has changed, if anything is unusual. Then the caller takes the small
-    /// steps.
+    /// Takes a request of the member as one fused step with the other members that it concerns (D176, D193).
+    /// If the request is a REPLY, `then` may be the GET that follows it (D200). If anything is unusual, this
+    /// returns false and changes nothing; then the caller takes the small steps.
     pub fn fuse(
         &mut self,
         (request, then): (&Request, Option<&Request>),
@@ -35,7 +36,7 @@ impl Turn<'_> {
             return matches!(request, Request::Arrive { .. }) && self.gather(request, signals, effects);
         };
         let there = self.homes.at(fusible.other);
-        // A packet that the other member has not taken comes first.
+        // If a packet for the other member is still in the queue, that packet comes first.
         if home.domain() != there.domain() || effects.inside.has_input_for(there) {
             return false;
         }
@@ -66,7 +67,8 @@ impl Turn<'_> {
             self.change(there.member());
             return true;
         }
-        // Its wait is over, and nothing else of it expires: what it has published still comes no later than its next expiry.
+        // The other member's wait is over, and nothing else of it expires. So the expiry that it has
+        // published is not later than its next one, and may stay.
         match there.run_by {
             RunBy::AnyThread => effects.inside.told(there),
             RunBy::TheThreadOfFutures | RunBy::ItsThread => effects.called.push(there.place()),
@@ -79,7 +81,7 @@ impl Turn<'_> {
 pub(crate) trait FusedSignals {
     /// To the task that makes the request.
     fn own(&mut self, answer: Completion);
-    /// To the other member, which may have a script.
+    /// The signals to the other member, which may have a script.
     fn other(&mut self, member: usize, script: Option<&mut ScriptRunner>, answer: Completion);
 }
 
@@ -104,17 +106,18 @@ impl<S: FusedSignals> NodeOutbox for Got<'_, S> {
     }
 }
 
-/// The outbox of one fused step. It drops nothing and sends nothing.
+/// The outbox of one fused step. A fused step drops no message and sends no packet.
 struct Fused<'a, S> {
     at: Micros,
     task: TaskId,
-    /// Of the task itself, and of the other one.
+    /// The rings of observations of the task itself and of the other task.
     rings: (&'a mut Ring, &'a mut Ring),
     signals: &'a mut S,
-    /// Whether the task makes another request once this one is accepted, and gets no signal about that.
+    /// Whether the task makes another request once this one is accepted, so that it needs no signal about the
+    /// acceptance.
     goes_on: bool,
     other: (usize, &'a mut Option<Box<ScriptRunner>>),
-    /// Whether the other task was told something.
+    /// Whether the other task got a signal.
     told: bool,
 }
 

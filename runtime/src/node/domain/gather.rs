@@ -1,4 +1,5 @@
-//! A member of a domain reaches a `waitfor` whose other members are all in the domain: one fused step (D193).
+//! The arrival of a member at a `waitfor` whose other members are all in the domain, as one fused step
+//! (D193).
 
 use super::{FusedSignals, Turn};
 use crate::clock::Micros;
@@ -12,7 +13,8 @@ use imrs_protocol::{
 };
 
 impl Turn<'_> {
-    /// The member arrives at a `waitfor`, as one fused step with all its other members (D193).
+    /// Lets the member arrive at a `waitfor`, as one fused step with all other members of that `waitfor`
+    /// (D193).
     #[inline(never)]
     pub(super) fn gather(
         &mut self,
@@ -49,7 +51,7 @@ impl Turn<'_> {
 /// The members of a domain during a fused arrival.
 struct Gathered<'a, S> {
     at: Micros,
-    /// The place on the node of the task that arrives.
+    /// The place, on the node, of the task that arrives.
     own: usize,
     members: &'a mut [Comm],
     homes: &'a Homes,
@@ -67,11 +69,11 @@ impl<S: FusedSignals> Members for Gathered<'_, S> {
     }
 }
 
-/// The outbox of a member in a fused arrival. It drops nothing, and uses no Timer.
+/// The outbox of a member in a fused arrival. Such a step drops no message, and uses no Timer.
 struct Gathers<'a, S> {
     at: Micros,
     home: Home,
-    /// Whether the outbox is that of the member that arrives.
+    /// Whether this is the outbox of the member that arrives.
     is_own: bool,
     ring: &'a mut Ring,
     runner: &'a mut Option<Box<ScriptRunner>>,

@@ -20,7 +20,7 @@ use imrs_protocol::{
     Seq24, TaskId, Ticks, TimeId,
 };
 
-/// How many words an input has. With its number it fills a cache line up to one word.
+/// How many words an input has. Together with its number, an input fills a cache line except for one word.
 const WORDS: usize = 6;
 
 const TIME: u8 = 0;
@@ -43,7 +43,8 @@ impl Slotted for Addressed {
         std::array::from_fn(|_| AtomicU64::new(0))
     }
 
-    /// A request is brought by the task's own thread, which takes the lock, so it is never left.
+    /// The task's own thread brings its request and takes the lock for that, so a request is never left in an
+    /// inbox.
     fn to_words(&self) -> Option<[u64; WORDS]> {
         let at = self.stamped.at;
         // A node has at most 65,536 tasks.

@@ -9,7 +9,8 @@ use std::sync::LazyLock;
 static KEYS: LazyLock<[NodeKeys; 2]> = LazyLock::new(keys);
 /// How many datagrams the network holds, at most.
 const FLYING: usize = 64;
-/// From how many counters each start of a node takes its own, so that those of two starts differ.
+/// Each start of a node takes its counters from a range of this length, so that the counters of two starts
+/// differ.
 const COUNTERS: u64 = 1 << 33;
 
 /// A network that treats datagrams as the bytes of the fuzzer say.
@@ -18,18 +19,18 @@ struct Network<'a> {
     ends: [End; 2],
     now: u64,
     starts: u64,
-    /// The end that has nothing to say when the network is well again, if only one speaks.
+    /// The end that sends nothing by itself once the network is well again, if only one end sends.
     silent: Option<usize>,
-    /// To whom, and what.
+    /// The datagrams in flight: to which end, and their bytes.
     flying: Vec<(usize, Vec<u8>)>,
 }
 
-/// Lets the network deliver, lose, repeat, hold back, change and forge datagrams, and restart nodes, as the bytes of
-/// the fuzzer say.
+/// Lets the network deliver, lose, repeat, hold back, change and forge datagrams, and restart nodes, as the
+/// bytes of the fuzzer say.
 ///
 /// # Panics
-/// A counter is taken in that the other end has not used, or twice; or the two do not talk once the network leaves their datagrams
-/// alone.
+/// If an end accepts a counter that the other end has not used, or one counter twice; or if the two ends do
+/// not hear each other once the network leaves their datagrams alone.
 pub fn check(bytes: &[u8]) {
     let silent = bytes.first().and_then(|&first| [None, Some(0), Some(1)][usize::from(first) % 3]);
     let mut net = Network { bytes, ends: ends(&KEYS), now: 0, starts: 100, silent, flying: Vec::new() };
@@ -119,15 +120,16 @@ impl Network<'_> {
         self.send(1 - to, reply);
     }
 
-    /// The node starts again with its keys. What was sent before may still arrive.
+    /// The node starts again with its keys. Datagrams that were sent before may still arrive.
     fn restart(&mut self, me: usize) {
         self.starts += 1;
         self.ends[me] = end(&KEYS, me, self.starts, super::rig::DIGESTS);
         self.ends[me].counter = self.starts * COUNTERS;
     }
 
-    /// From now on nothing is lost or changed: who is spoken to hears it within half a minute. A node that has nothing to say asks for a
-    /// session if it has none, and repeats its greeting.
+    /// From now on the network loses and changes nothing: each end that is sent something must hear it within
+    /// half a minute. An end that sends nothing by itself asks for a session if it has none, and repeats its
+    /// greeting.
     fn talk(&mut self) {
         self.flying.clear();
         let heard = self.ends.each_ref().map(|end| end.opened.len());

@@ -41,7 +41,8 @@ pub(in crate::link::udp) struct Channel {
     cookies: SecretKey,
     /// The upper half of each session index that this node gives.
     place: u16,
-    /// The lower half of the last one. The first is drawn, so that an index of an earlier start is most likely none of this one.
+    /// The lower half of the last session index. The first one is random, so that an index of an earlier
+    /// start is most likely no index of this start.
     indices: u16,
     pub(super) sessions: Sessions,
     pub(super) making: Option<Making>,
@@ -113,7 +114,8 @@ impl Channel {
         }))
     }
 
-    /// The session that closes the datagrams that this node sends: the newest session that the neighbour has, too.
+    /// The session whose keys encrypt the datagrams that this node sends: the newest session that the
+    /// neighbour has, too.
     pub(in crate::link::udp) fn sending(&self) -> Option<&Arc<Live>> {
         self.sessions.sending()
     }
@@ -128,7 +130,7 @@ impl Channel {
         self.sessions.has(live)
     }
 
-    /// The neighbour has closed a datagram with this session. Returns whether that is news.
+    /// Notes that the neighbour has sent a datagram in this session. Returns whether this is the first one.
     pub(in crate::link::udp) fn confirm(&mut self, live: &Arc<Live>, now: u64) -> bool {
         let is_news = self.sessions.confirm(live, now);
         if is_news {
@@ -137,7 +139,8 @@ impl Channel {
         is_news
     }
 
-    /// Whether the neighbour may not know of the session in which this node sends, because it has sent nothing in it.
+    /// Whether the neighbour may not know of the session in which this node sends, because the neighbour has
+    /// sent nothing in it yet.
     pub(in crate::link::udp) fn is_unanswered(&self) -> bool {
         self.sending().is_some_and(|live| live.is_unanswered())
     }
@@ -210,7 +213,8 @@ impl Channel {
         }
     }
 
-    /// A datagram that another cell's key closed proves nothing. While there is no session, it is a hint for the users.
+    /// A datagram that is authenticated with another cell's key proves nothing. While there is no session, it
+    /// is a hint for the users.
     fn unclosed(&self, said: &Handshake<'_>) -> Result<Answer, LinkDiscard> {
         let other_keys = Refused::OtherKeys as u8;
         let awaited = self.making.as_ref().is_some_and(|making| making.nonce == said.nonce);
@@ -263,7 +267,7 @@ impl Channel {
         }
         let mut noise = self.noise((self.peer, self.me), |noise| noise.build_responder())?;
         let Ok(started) = read(&mut noise, first) else {
-            // The cell's key is right, but the key of a node is not.
+            // The datagram is authenticated with the right key of the cell, but the key of a node is wrong.
             let (why, reply) = (Refused::OtherKeys, Some(self.refusal(nonce, Refused::OtherKeys)));
             return Ok(Answer::Refused { why, theirs: self.digests, here: true, reply });
         };

@@ -1,4 +1,5 @@
-//! Which sessions last, and which are over: under restarts, late and lost datagrams, and when both nodes ask at once.
+//! Tests which sessions last and which ones are over: under restarts, late and lost datagrams, and if both
+//! nodes ask for a session at once.
 
 use super::rig::{DIGESTS, End, MS, acquainted, end, ends, keys};
 use super::*;
@@ -11,7 +12,7 @@ fn a_neighbour_that_starts_again_ends_its_earlier_session_and_no_old_one_comes_b
     acquainted(&mut ends, 0);
     let [old, late] = [0, 1].map(|_| ends[0].datagram().unwrap());
     ends[1].take(&old, MS).unwrap();
-    // An attempt of the first start, whose answer is under way when it ends.
+    // The first start of the node asks for a session, and ends while the answer is on its way.
     let hello = ends[0].channel.knock(MS).unwrap();
     let cookie = ends[1].take(&hello, MS).unwrap().unwrap();
     let initiation = ends[0].take(&cookie, MS).unwrap().unwrap();
@@ -19,13 +20,15 @@ fn a_neighbour_that_starts_again_ends_its_earlier_session_and_no_old_one_comes_b
     acquainted(&mut ends, 2 * MS);
     assert_eq!(ends[1].take(&late, 3 * MS), Err(LinkDiscard::StaleSession));
     let now = ends[1].channel.sending().unwrap().index;
-    // Its answer comes to nothing: the first start is over, and the second has not asked for it.
+    // The late answer leads to no session: the first start is over, and the second start has not asked for
+    // it.
     let response = ends[1].take(&initiation, 3 * MS).unwrap().unwrap();
     assert_eq!(ends[0].take(&response, 3 * MS), Err(LinkDiscard::StaleSession));
     assert_eq!(ends[1].channel.sending().unwrap().index, now);
 }
 
-/// A session that the second end asked for after it was started again, and whose first datagram is lost.
+/// A session for which the second end asked after it was started again. The first datagram in this session is
+/// lost.
 fn unanswered(keys: &[NodeKeys; 2]) -> [End; 2] {
     let mut ends = ends(keys);
     acquainted(&mut ends, 0);
@@ -38,7 +41,8 @@ fn unanswered(keys: &[NodeKeys; 2]) -> [End; 2] {
     ends
 }
 
-/// Otherwise the one would go on in the session with the neighbour's earlier start, and the other in one that is forgotten.
+/// Otherwise one node would go on in the session with the neighbour's earlier start, and the other node in a
+/// session that its neighbour has forgotten.
 #[test]
 fn a_session_is_used_however_late_its_first_datagram_comes_until_it_is_replaced() {
     let keys = keys();
@@ -59,7 +63,8 @@ fn a_session_is_used_however_late_its_first_datagram_comes_until_it_is_replaced(
     assert_eq!(ends[1].knock(10_500 * MS), None, "who has one asks for none");
 }
 
-/// A node that only receives must let the neighbour know of its new session: it says nothing else.
+/// A node that only receives sends nothing else than greetings, so a greeting must let the neighbour know of
+/// a new session.
 #[test]
 fn a_greeting_is_repeated_until_the_neighbour_uses_the_session() {
     let mut ends = unanswered(&keys());
@@ -110,7 +115,7 @@ fn two_that_ask_at_once_hear_each_other_for_as_long_as_they_run() {
     }
 }
 
-/// The answer was under way, or an attacker has held it back.
+/// The answer of the earlier start was still on its way, or an attacker has held it back.
 #[test]
 fn an_answer_of_an_earlier_start_ends_no_later_session_whenever_it_comes() {
     let keys = keys();

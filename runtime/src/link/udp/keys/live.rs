@@ -1,4 +1,5 @@
-//! One session with keys: it closes and opens the datagrams between one start of this node and one start of a neighbour.
+//! One session with keys: it encrypts (closes) and decrypts (opens) the datagrams between one start of this
+//! node and one start of a neighbour.
 
 use crate::link::LinkDiscard;
 use crate::lock::lock;
@@ -15,7 +16,8 @@ const REPLACE_AFTER: u64 = 3_600_000_000;
 const PATIENCE: u64 = 60_000_000;
 /// The number of datagrams after which a session is replaced.
 const REPLACE_AFTER_DATAGRAMS: u64 = 1 << 32;
-/// After how long its initiator replaces a session in which the neighbour has sent nothing.
+/// If the neighbour has sent nothing in a session for this long, the node that asked for the session replaces
+/// it.
 const ANSWERED_WITHIN: u64 = 10_000_000;
 /// For something that has not happened.
 const NEVER: u64 = u64::MAX;
@@ -32,9 +34,9 @@ pub(in crate::link::udp) struct Live {
     is_initiator: bool,
     /// When the session was made.
     pub(super) born: u64,
-    /// When the first datagram of the neighbour was opened with it; [`NEVER`] before.
+    /// When the first datagram of the neighbour was opened with this session; [`NEVER`] before.
     heard: AtomicU64,
-    /// The counter of the first datagram that this node closed with it; [`NEVER`] before.
+    /// The counter of the first datagram that this node closed with this session; [`NEVER`] before.
     first: AtomicU64,
 }
 
@@ -110,39 +112,43 @@ impl Live {
         (self.heard.load(Ordering::Acquire), lock(&self.window).clone())
     }
 
-    /// The neighbour has closed a datagram with it. Returns whether that is news.
+    /// Notes that the neighbour has sent a datagram in this session. Returns whether this is the first one.
     pub(super) fn hear(&self, now: u64) -> bool {
         self.heard.compare_exchange(NEVER, now, Ordering::AcqRel, Ordering::Acquire).is_ok()
     }
 
-    /// When the neighbour was heard in it first.
+    /// When the neighbour was first heard in this session.
     pub(super) fn heard(&self) -> Option<u64> {
         Some(self.heard.load(Ordering::Acquire)).filter(|&at| at != NEVER)
     }
 
-    /// Whether the neighbour is known to have the keys. The initiator knows it from the response.
+    /// Whether the neighbour is known to have the keys of this session. The node that asked for the session
+    /// knows this from the response.
     pub(super) fn is_confirmed(&self) -> bool {
         self.is_initiator || self.heard().is_some()
     }
 
-    /// Whether this node made it and the neighbour may not know that.
+    /// Whether this node asked for this session, and the neighbour may not know yet that the session was
+    /// made.
     pub(super) fn is_unanswered(&self) -> bool {
         self.is_initiator && self.heard().is_none()
     }
 
-    /// This node's number of it, and the neighbour's: each node counts its own part in the handshakes of its start.
+    /// The numbers of this session's handshake at this node and at the neighbour: each node counts the
+    /// handshakes in which it took part since its start.
     const fn numbers(&self) -> (u16, u16) {
         (self.index as u16, self.theirs as u16)
     }
 
-    /// Whether this node had its part in the handshake after its part in that of `other`.
+    /// Whether this node took part in the handshake of this session later than in that of `other`.
     pub(super) fn is_begun_after(&self, other: &Self) -> bool {
         is_later(self.numbers().0, other.numbers().0)
     }
 
-    /// Whether it counts as made after `other`, which has the same starts of both nodes. If both nodes ask at once, each does its
-    /// part in its own question first, so the two disagree on which session is the newer one. The sum of both numbers is the same at
-    /// both, and a session that is later for both has the greater one.
+    /// Whether this session counts as made after `other`, which is between the same starts of both nodes. If
+    /// both nodes ask at once, each takes part first in the handshake that it asked for, so the two disagree
+    /// on which session is the newer one. But the sum of both nodes' numbers is the same at both nodes, and a
+    /// session that is later for both nodes has the greater sum.
     pub(super) fn is_after(&self, other: &Self) -> bool {
         let sum = |(own, theirs): (u16, u16)| own.wrapping_add(theirs);
         let of_lower = |live: &Self| {
@@ -162,7 +168,7 @@ impl Live {
     }
 }
 
-/// Whether a number comes after another one. They wrap around.
+/// Whether a number comes after another one, where numbers wrap around.
 const fn is_later(number: u16, than: u16) -> bool {
     number.wrapping_sub(than).cast_signed() > 0
 }

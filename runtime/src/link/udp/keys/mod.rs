@@ -121,7 +121,7 @@ fn tag(key: &[u8; KEY_BYTES], bytes: &[&[u8]]) -> [u8; TAG_BYTES] {
     hash(key, bytes).finalize().into_bytes().into()
 }
 
-/// Whether a keyed hash is right. The comparison takes as long if the hash is wrong.
+/// Whether a keyed hash is right. The comparison takes the same time for a wrong hash as for a right one.
 fn is_tag(key: &[u8; KEY_BYTES], bytes: &[&[u8]], tag: &[u8; TAG_BYTES]) -> bool {
     hash(key, bytes).verify(tag.into()).is_ok()
 }

@@ -35,7 +35,8 @@ impl CryptoResolver for Primitives {
     }
 }
 
-/// A private key of X25519, which is erased when it is dropped, and its public one.
+/// A private key of X25519, which is erased from memory when it is dropped, and the public key that belongs
+/// to it.
 #[derive(Default)]
 struct KeyPair {
     private: SecretKey,
@@ -127,7 +128,7 @@ mod tests {
         bytes.iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
-    /// RFC 7748, section 5.2: each result is the next key, and each key the next point.
+    /// RFC 7748, section 5.2: each result is the next key, and the key before it is the next point.
     #[test]
     fn keys_are_agreed_on_as_the_standard_says() {
         let mut point = [0; KEY_BYTES];

@@ -83,7 +83,7 @@ impl End {
         }
     }
 
-    /// What the polling thread repeats until the neighbour has answered.
+    /// The greeting that the polling thread repeats until the neighbour has answered.
     pub(super) fn greeting(&mut self, now: u64) -> Option<Vec<u8>> {
         self.channel.greets_again(now).then(|| self.datagram()).flatten()
     }

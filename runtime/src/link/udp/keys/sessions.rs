@@ -1,14 +1,16 @@
-//! The sessions with one neighbour, whatever handshakes made them: which one closes what is sent, and which are over.
+//! The sessions with one neighbour: which of them encrypts what this node sends, and which are over.
 
 use super::Live;
 use std::sync::Arc;
 
-/// How long a session is kept after the neighbour was heard in a newer one, for datagrams that are under way.
+/// How long a session is kept after the neighbour was heard in a newer one, for datagrams that are still on
+/// their way.
 const KEPT: u64 = 10_000_000;
 /// How many sessions are kept, at most.
 const SESSIONS: usize = 8;
 
-/// Sessions with one neighbour. All that are confirmed have one start of it.
+/// The sessions with one neighbour. All sessions in which the neighbour was heard belong to one start of the
+/// neighbour.
 pub(super) struct Sessions(Vec<Arc<Live>>);
 
 impl Sessions {
@@ -20,13 +22,14 @@ impl Sessions {
         self.0.iter()
     }
 
-    /// The session that closes what this node sends: the newest one that the neighbour has.
+    /// The session whose keys encrypt what this node sends: the newest session of which the neighbour is
+    /// known to have the keys.
     pub(super) fn sending(&self) -> Option<&Arc<Live>> {
         self.newest(Live::is_confirmed)
     }
 
-    /// The newest session in which the neighbour was heard. The neighbour sends in the newest one that it knows this node to have, so
-    /// it uses no older one any more. A newer one it may not know yet.
+    /// The newest session in which the neighbour was heard. The neighbour sends in the newest session that it
+    /// knows this node to have. So it uses no older session any more, but may not yet know of a newer one.
     fn used(&self) -> Option<&Arc<Live>> {
         self.newest(|live| live.heard().is_some())
     }
@@ -36,12 +39,13 @@ impl Sessions {
         ones.reduce(|newest, live| if live.is_after(newest) { live } else { newest })
     }
 
-    /// Whether this is one of them.
+    /// Whether `live` is one of these sessions.
     pub(super) fn has(&self, live: &Arc<Live>) -> bool {
         self.0.iter().any(|one| Arc::ptr_eq(one, live))
     }
 
-    /// Adds one. If there are too many, the oldest goes that neither this node nor the neighbour is known to send in.
+    /// Adds a session. If there are too many, the oldest session is removed in which neither this node nor,
+    /// as far as is known, the neighbour sends.
     pub(super) fn add(&mut self, live: Live) {
         if self.0.len() == SESSIONS {
             let needed = [self.sending(), self.used()];
@@ -53,7 +57,7 @@ impl Sessions {
         self.end_earlier_starts();
     }
 
-    /// The neighbour has closed a datagram with this one. Returns whether that is news.
+    /// Notes that the neighbour has sent a datagram in this session. Returns whether this is the first one.
     pub(super) fn confirm(&mut self, live: &Arc<Live>, now: u64) -> bool {
         let is_news = live.heard().is_none() && self.has(live) && live.hear(now);
         if is_news {
@@ -62,8 +66,9 @@ impl Sessions {
         is_news
     }
 
-    /// A node runs once at a time: sessions with an earlier start of the neighbour are over. In each confirmed session the neighbour
-    /// has answered this node's part, so of two starts that one is later in whose session this node did its part later.
+    /// Ends the sessions with earlier starts of the neighbour, because a node runs only once at a time. In
+    /// each confirmed session the neighbour has answered this node. So of two starts of the neighbour, the
+    /// later one is that in whose session this node took part later.
     fn end_earlier_starts(&mut self) {
         let confirmed = self.0.iter().filter(|live| live.is_confirmed());
         let latest = confirmed.reduce(|latest, live| if live.is_begun_after(latest) { live } else { latest });

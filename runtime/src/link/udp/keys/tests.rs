@@ -283,7 +283,7 @@ fn other_cells_and_other_keys_are_refused_by_name_on_both_sides() {
     }
     let (mut a, mut b) = (end(&same, 0, 1, DIGESTS), end(&keys(), 1, 2, DIGESTS));
     assert_eq!(refused(&mut a, &mut b), Refused::OtherKeys, "of the cell");
-    // A node that has the cell's key and not the node's gets no session either.
+    // A node that has the cell's key but not the private key of a node of the cell gets no session either.
     let cell = draw_cell_key().unwrap();
     let lone = |me: usize| {
         let (private, _) = draw_node_keys().unwrap();
