@@ -87,7 +87,7 @@ struct Compared {
     /// has the number without.
     reduced: u64,
     plain: u64,
-    /// Cells in which the times of three instants met in one.
+    /// The number of cells whose search by zones was inexact, because a sum of three instants mattered in it.
     inexact: u64,
 }
 

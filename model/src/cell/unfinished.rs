@@ -36,8 +36,9 @@ impl Zone for Timeless {
 /// A sample of the states that a search keeps, chosen by their fingerprints, so that the sample is the same for any number
 /// of threads.
 pub(super) struct Sample {
-    /// A state is in the sample if the high half of its fingerprint is a multiple of this. The low half decides which states of
-    /// a chain are kept at all.
+    /// A state is in the sample if the high half of its fingerprint is a multiple of this number. The low half is not
+    /// used, because it decides which states the search keeps on a chain: a row of states that each have one successor
+    /// only.
     stride: u64,
     states: Vec<(u64, Box<[u8]>)>,
 }

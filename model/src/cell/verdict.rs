@@ -153,8 +153,8 @@ pub struct Coverage {
     pub parts: u32,
     /// The number of different states that were kept. Between two kept states only one move at a time is possible.
     pub states: u64,
-    /// How many runs of a search by zones lead to states with more times than are reached (D189): then a statement may count as
-    /// reached that is not.
+    /// The number of runs of a search by zones that lead to states with more times than the cell can reach (D189). If
+    /// there are such runs, a statement may count as reached that cannot be reached.
     #[serde(default)]
     pub inexact: u64,
     /// Moves made.

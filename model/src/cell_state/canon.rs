@@ -40,7 +40,7 @@ impl CellState {
     /// Appends the packed state to `out`.
     pub fn append_to(&mut self, out: &mut Vec<u8>) {
         let from = out.len();
-        // If a relative number outgrows its field, this is an absorbing, visible failure; no value ever saturates.
+        // If a relative number outgrows its field, the search reports a violation; no value saturates silently.
         let violation =
             self.violation.or_else(|| self.try_append(out).err().map(|Overflow| Violation::Overflow));
         if let Some(violation) = violation {
@@ -99,7 +99,7 @@ impl CellState {
 
     /// Unpacks the bytes of a state without a violation.
     pub fn load_bytes(&mut self, bytes: &[u8]) {
-        // A run that ended in a violation may have left scripts with inputs that they have not taken.
+        // If a run ended in a violation, scripts may still have inputs that they have not taken. These are dropped.
         self.ready.clear();
         self.rounds.fill(Frame::ROUND);
         self.sequences.fill(Frame::SEQUENCE);

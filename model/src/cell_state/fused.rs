@@ -16,9 +16,10 @@ impl CellState {
             return Ok(());
         }
         let here = &self.nodes[i].node;
-        // Most requests have no fused step: the copy of a node is cheaper than that of a cell.
+        // Most requests have no fused step. A copy of the node shows this more cheaply than a copy of the whole cell.
         let mut may = !here.is_busy() && here.parts().tasks.len() > 1;
-        // A GET is the most frequent request, and concerns one task alone.
+        // GETs are the most frequent requests, and each concerns one task only. So they are compared in sampled states
+        // only.
         may &= self.is_sampled || !matches!(request, Request::Get { .. });
         if !may || !here.clone().fuse(task, request, &mut Unheard) {
             return Ok(());
@@ -33,10 +34,10 @@ impl CellState {
         self.compare_pairs(i, task, request)
     }
 
-    /// Compares an answer and a GET after it, as a fused step has them together, with the small steps of both.
+    /// Compares the fused step for an answer followed by a GET with the small steps of both.
     fn compare_pairs(&self, i: usize, task: TaskId, reply: &Request) -> Result<(), Violation> {
         let &Request::Reply { to, .. } = reply else { return Ok(()) };
-        // A wait at the port that the answer came through, and a look at all ports.
+        // The GETs to try after the answer: a wait at the answer's port, and a look at all ports.
         let wait = Request::Get { port: Some(to.port), source: None, time_out: None };
         let look = Request::Get { port: None, source: None, time_out: Some(Ticks::ZERO) };
         for get in [wait, look] {
@@ -56,7 +57,7 @@ impl CellState {
         Ok(())
     }
 
-    /// Compares what a node does by `fused` with what it does by `plain`. Returns its effects.
+    /// Compares the effects of the node under `fused` with those under `plain`. Returns the effects.
     fn compare(
         &self,
         i: usize,

@@ -274,7 +274,7 @@ pub struct CellScenario {
     pub jumps: bool,
     /// For each node, how many ticks its clock is ahead.
     pub clocks: Vec<u64>,
-    /// The first epoch of couples and actuators: even. A restarted node begins with the one of the state machine.
+    /// The first epoch of couples and actuators (even). A restarted node begins with the state machine's own epoch.
     pub epoch: u8,
     /// A mask of the nodes that are left out: they are down for ever, and neither they nor their tasks are packed.
     pub(crate) left_out: u64,

@@ -171,7 +171,7 @@ impl CellState {
         Ok(())
     }
 
-    /// The next request of a task's script. A script that never waits is a finding, and is not stopped.
+    /// The next request of a task's script. A script that never waits becomes a finding: it makes too many steps.
     fn next_request(&mut self, task: usize, steps: &mut usize) -> Result<Option<Request>, Violation> {
         let node_state = &self.nodes[self.node_state_of(task)];
         let machine = node_state.node.task(TaskId::from_index(task)).map(|task| (task, &node_state.table));

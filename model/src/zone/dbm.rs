@@ -115,7 +115,7 @@ impl Dbm {
         Self { len: self.len, bounds }
     }
 
-    /// The points whose first values are in another set.
+    /// The points of this set whose first values form a point of the set `first`.
     ///
     /// # Errors
     /// [`Empty`] if there is none.
@@ -127,12 +127,13 @@ impl Dbm {
         Ok(both)
     }
 
-    /// The union of two sets over the same variables, if it can be described so: if it equals the [hull](Self::hull).
+    /// The union of two sets over the same variables, if a matrix can describe it: if it equals the [hull](Self::hull).
     pub fn merged(&self, other: &Self) -> Option<Self> {
         let hull = |i: usize, j: usize| self.at(i, j).max(other.at(i, j));
         let others: Vec<_> = other.tighter(self).collect();
-        // The hull without the first set is the points of the hull that break one of its tighter bounds. With such a bound broken,
-        // each other bound is the hull's own or that of the path over the broken one: all must be within the second set.
+        // Each point of the hull outside the first set breaks a bound of the first set that is tighter than the hull's.
+        // For each such bound, all points of the hull that break it must be in the second set. Among these points, the
+        // bound for a pair is the lesser of the hull's bound and the path over the broken bound.
         let is_outside = |(i, j, mine): (usize, usize, i64)| {
             others.iter().any(|&(k, l, bound)| plus(plus(hull(k, j), hull(i, l)), -mine - 1) > bound)
         };
@@ -149,7 +150,7 @@ impl Dbm {
         less.map(|(at, (&mine, _))| (at / self.len, at % self.len, mine))
     }
 
-    /// A point of the set, the value of zero first.
+    /// A point of the set. Its first value is that of the variable zero.
     pub fn point(&self) -> Vec<i64> {
         let mut values = vec![0];
         for i in 1..self.len {
@@ -163,7 +164,8 @@ impl Dbm {
         values
     }
 
-    /// Whether the set has a point like this one, in which each of the variables `over` may be less than zero instead of zero.
+    /// Whether the set has the point `point`, or a point that differs only in variables `over`: these may be less than
+    /// zero.
     pub fn reaches(&self, point: &[i64], over: &[usize]) -> bool {
         let mut left = self.clone();
         point.len() == self.len
@@ -173,7 +175,7 @@ impl Dbm {
             })
     }
 
-    /// Whether a point, the value of zero first, is in the set.
+    /// Whether a point is in the set. The first value of a point is that of the variable zero.
     #[cfg(test)]
     pub fn has(&self, point: &[i64]) -> bool {
         let holds = |i: usize, j: usize| self.bound(i, j).is_none_or(|bound| point[i] - point[j] <= bound);

@@ -24,9 +24,10 @@ pub(crate) struct Cut {
     answers: Vec<Answer>,
     /// How many of the given answers the run has used.
     used: usize,
-    /// The variables that may stand for more values than they can have.
+    /// The variables whose bounds in the zone may allow values that cannot occur.
     loose: Vec<u8>,
-    /// Whether no variable of `loose` has decided an answer, and none is among the times of the packed state.
+    /// Whether the run is exact: no variable of `loose` has decided an answer, and none is among the times of the
+    /// packed state.
     is_exact: bool,
     /// The times of the state that is being read or packed.
     pub(super) times: Times,
@@ -117,7 +118,7 @@ impl Cut {
         self.zone.bound(usize::from(START), variable.into()).map_or(0, |bound| -bound)
     }
 
-    /// Whether one time is at most another one at all points. False also if that takes more than two variables.
+    /// Whether `one` is at most `other` at all points. Also false if the comparison needs more than two variables.
     pub fn is_surely_at_most(&self, one: Ticks, other: Ticks) -> bool {
         let [one, other] = [one, other].map(symbol_of);
         match (one, other) {
@@ -128,7 +129,7 @@ impl Cut {
         }
     }
 
-    /// The two variables and the offset that make the difference of two symbols; `None` if it needs more variables.
+    /// The two variables and the offset that make the difference of two symbols; `None` if more variables are needed.
     const fn between(one: Symbol, other: Symbol) -> Option<(u8, u8, i64)> {
         let offset = one.offset - other.offset;
         match (one, other) {
@@ -140,7 +141,7 @@ impl Cut {
         }
     }
 
-    /// Keeps the points at which one time is at most another one; false if this would need more than two variables.
+    /// Keeps the points at which `one` is at most `other`. Returns false if this would need more than two variables.
     pub fn keep_at_most(&mut self, one: Symbol, other: Symbol) -> Result<bool, Empty> {
         let Some((i, j, offset)) = Self::between(one, other) else { return Ok(false) };
         self.decides(i);
@@ -201,8 +202,8 @@ impl Cut {
         (self.named([by, first], [second, symbolic::START]), 0)
     }
 
-    /// A new variable for the sum of two variables less two others. Its bounds follow from what is known of pairs of these
-    /// variables. It may have values that the sum cannot have.
+    /// A new variable for the sum of two variables less two others. The bounds of the new variable follow from the
+    /// bounds on pairs of these variables, so they may allow values that the sum cannot have.
     fn named(&mut self, plus: [u8; 2], less: [u8; 2]) -> u8 {
         let [plus, less] = [plus, less].map(|pair| pair.map(usize::from));
         let bounds = |other: usize| {
@@ -232,7 +233,7 @@ impl Cut {
 }
 
 impl Cut {
-    /// Whether a symbol is negative. If both are possible in the zone, this is a further answer of the run.
+    /// Whether a symbol is negative. If the zone allows both, the answer becomes one more answer of the run.
     pub(super) fn asks_negative(&mut self, symbol: Symbol) -> bool {
         let Symbol { first, second, offset } = symbol;
         let (i, j) = (usize::from(first), usize::from(second));
@@ -320,7 +321,8 @@ mod tests {
             |_| compared(names),
             |facts, cut| {
                 runs += 1;
-                // A variable that stands for a sum of three variables comes after the first four.
+                // The zone's first four variables are zero and the three instants. Later variables stand for sums of
+                // three variables.
                 let only = cut.zone.project(&[(0, 0), (1, 0), (2, 0), (3, 0)]);
                 assert!(cut.is_exact() || cut.zone.len() > 4);
                 parts.push((only, facts));
@@ -345,7 +347,7 @@ mod tests {
         let run = |forks: &Forks| {
             let first = forks.choose(3);
             let early = symbolic::instant(1) < Instant(3);
-            // The run does not ask again what it already knows.
+            // The run does not fork again over a comparison whose answer follows from an earlier one.
             assert_eq!(early, symbolic::instant(1) <= Instant(2));
             (first, early, if early { forks.choose(2) } else { 9 })
         };
@@ -361,7 +363,7 @@ mod tests {
 
     #[test]
     fn a_variable_for_three_has_all_values_of_their_sum() {
-        // `y` is `x` or one later, and so is `z`. What is known of pairs does not determine the sums of all three.
+        // `y` is `x` or `x + 1`. The bounds on pairs of variables do not determine the sums of three.
         let mut zone = boxed([9, 9, 9]);
         zone.constrain(2, 1, 1).unwrap();
         zone.constrain(1, 2, 0).unwrap();

@@ -1,4 +1,4 @@
-//! Packs the times of a state: one byte for each time, and a term for what the byte leaves open.
+//! Packs the times of a state: one byte for each time, and a term for each time that the byte alone does not determine.
 
 use super::forks::Cut;
 use super::times::{Term, Times};

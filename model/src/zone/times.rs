@@ -1,7 +1,8 @@
-//! The times of a packed state: its bytes say where there are times, and its zone says which ones.
+//! The times of a packed state. The state's bytes say where there are times, and the state's zone says which values
+//! they may have.
 //!
-//! Each time is a variable of its own, in the order of packing, and zero is the present instant. So even states whose times
-//! differ by constants have the same bytes, and their zones can be compared and merged.
+//! Each time is a variable of its own, in the order of packing, and zero is the present instant. So even states whose
+//! times differ by constants have the same bytes, and their zones can be compared and merged.
 
 use imrs_protocol::Ticks;
 use imrs_protocol::symbolic::{self, START, Symbol};
@@ -18,23 +19,24 @@ pub(crate) struct Times {
     pub(super) read: usize,
     /// When the packet that comes next was sent.
     pub(super) sent: Option<Term>,
-    /// The positions of times that are over as plain zeros, although it may matter since when.
+    /// The positions of times that have passed and were packed as plain zeros, although it may matter how long ago they
+    /// passed.
     pub(super) over: Vec<usize>,
 }
 
 impl Times {
-    /// The times of a state whose zone has so many variables: the present, then each of its times.
+    /// The times of a state whose zone has `len` variables: the present, then each of the state's times.
     pub fn of_zone(len: usize) -> Self {
         let terms = (1..len).map(|variable| (u8::try_from(variable).unwrap_or(u8::MAX), 0)).collect();
         Self { now: (START, 0), terms, ..Self::default() }
     }
 
-    /// The variables, in the zone of the packed state, of the times that are zero because they are over.
+    /// The variables, in the zone of the packed state, of the times that are zero because they have passed.
     pub fn over(&self) -> &[usize] {
         &self.over
     }
 
-    /// The terms of the new state's zone: the present, then each of its times.
+    /// The terms of the new state's zone: the present, then each of the state's times.
     pub fn terms(&self) -> Vec<(usize, i64)> {
         let all = std::iter::once(&self.now).chain(&self.terms);
         all.map(|&(variable, offset)| (usize::from(variable), offset)).collect()

@@ -89,8 +89,8 @@ pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, li
             last |= one.last;
             if !judged.iter().any(|known| known.is_same(&one)) {
                 judged.push(one.clone());
-                // Whether the finding is a time_out or starvation is decided before shrinking, because a shorter run may
-                // show the other one.
+                // Whether the finding is a time_out or starvation is decided before shrinking. After shrinking, the
+                // shorter run may look like starvation where the whole run was a plain time_out, or the reverse.
                 shown.push((taken.len(), decided(plan, &taken, one)));
             }
         }

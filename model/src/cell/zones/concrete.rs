@@ -44,7 +44,7 @@ pub fn at_every_tick(plan: &Arc<CellPlan>) -> Arc<CellPlan> {
     Arc::new(CellPlan { times: Times::Every, ..CellPlan::clone(plan) })
 }
 
-/// Moves on plain ticks that lead to a kept state at one of its times.
+/// Moves on plain ticks that lead to a kept state, at one of the times in the state's zone.
 pub fn moves_to(
     plan: &Arc<CellPlan>,
     of: (Phase, &CellFaults),
@@ -57,15 +57,16 @@ pub fn moves_to(
 }
 
 impl Leg {
-    /// The leg of a run at a point of the run's zone. Takes the moves out of the run.
+    /// The leg for a run: the run's moves, and the silent ticks after them, whose number is read from a point of the
+    /// run's zone. Takes the moves out of the run.
     fn of(run: &mut Run, point: &[i64]) -> Option<Self> {
         let silent = run.silent_until.map_or(0, |until| point[usize::from(until)] - run.now);
         Some(Self { moves: std::mem::take(&mut run.moves), silent: u64::try_from(silent).ok()? })
     }
 }
 
-/// The legs from the start to the end of a run from a state: times are picked backwards. The first variables of the zone are the
-/// times of the state.
+/// The legs of a path from the start to the end of a run that begins in the state `at`. Times are picked backwards,
+/// from the end to the start. The first variables of the zone are the times of the state.
 fn legs_to(
     search: &mut Search,
     mut at: Option<u32>,
@@ -90,7 +91,7 @@ fn legs_to(
             legs.reverse();
             return Some(legs);
         };
-        // The run that leads to these times of the state.
+        // A run that leads to the picked times of the state.
         let (run, mut cut, terms) = rerun(search, parent, &answers)?;
         let (&(now, moved), others) = terms.split_first()?;
         for (&(variable, offset), &value) in others.iter().zip(&point[1..len]) {

@@ -28,12 +28,13 @@ impl Runner {
         if self.is_plain || taken.is_empty() {
             return Ok(());
         }
-        // To pack a state clears what is dead, and leaves what follows from it as it was. So the run goes on with what was packed.
+        // Packing clears the dead parts of a state, but not the values that were computed from them. So the run goes on
+        // with the state that was packed.
         forks.cut().begin_to_pack((START, run.now));
         self.run_state.pack()?;
         forks.cut().begin_to_read();
         self.run_state.load_packed();
-        // Another run from the same state with the same answers was here.
+        // An earlier run from the same state, with the same answers, may have come to this point already.
         let answers = forks.cut().answers();
         let known = self.left.iter().find(|left| left.made == run.moves.len() && left.answers == answers);
         if let Some(known) = known {
@@ -58,7 +59,8 @@ impl Runner {
         Ok(())
     }
 
-    /// Whether the arrival of a packet leads to the state without the packet, at the same times. The state before was packed last.
+    /// Whether the arrival of a packet leads to the same state, at the same times, as a removal of the packet. Assumes
+    /// that the state before the arrival is the one that was packed last.
     fn changes_nothing(&mut self, zone: &Dbm, packet: u8, moves: &[CellMove]) -> bool {
         let comes = |step: &&CellMove| matches!(**step, CellMove::Deliver(at) | CellMove::Mend(at, _) if at == packet);
         let Some(&arrives) = moves.iter().find(comes) else { return false };
@@ -82,9 +84,9 @@ impl Runner {
         }
     }
 
-    /// Adds states that can do nothing that this state cannot do: states in which an action must end earlier. Then one zone
-    /// covers what would otherwise be one zone for each time since the action began. `now` is the variable of the present
-    /// instant.
+    /// Widens the zone of the present state: adds states in which an action must end earlier than in this state. Such
+    /// states allow nothing that this state does not allow. Then one zone covers what would otherwise be one zone for
+    /// each time since the action began. `now` is the variable of the present instant.
     pub(super) fn loosen(&mut self, forks: &Forks, now: u8) {
         for task in 0..self.run_state.cell.bodies.len() {
             let Some(actor) = &mut self.run_state.cell.bodies[task].actor else { continue };
@@ -95,7 +97,8 @@ impl Runner {
     }
 }
 
-/// Replaces the most time of an action by any time that is not below its least time and at least a tick.
+/// Replaces the most time of an action by a variable: any time that is at least a tick, at least the action's least
+/// time, and at most its most time.
 fn loosen(forks: &Forks, now: u8, action: &mut Running) {
     if action.most == Running::FOREVER {
         return;

@@ -15,7 +15,7 @@ use imrs_protocol::symbolic::{self, START, Symbol};
 use imrs_protocol::{Instant, Ticks};
 use std::sync::Arc;
 
-/// The first byte of a control: whether time passes next, or several moves are possible.
+/// The first byte of a control: `QUIET` if time passes next, `CHOICE` if several moves are possible.
 pub(super) const QUIET: u8 = 1;
 const CHOICE: u8 = 0;
 
@@ -25,9 +25,9 @@ const WALK: usize = 512;
 /// Where a run begins.
 #[derive(Clone, Copy)]
 pub enum From<'a> {
-    /// At the start of the cell.
+    /// The run begins at the start of the cell.
     Start,
-    /// In the kept state with this control.
+    /// The run begins in the kept state with this control.
     Kept(&'a [u8]),
 }
 
@@ -39,8 +39,8 @@ pub struct Run {
     pub hits: Vec<(Shown, usize)>,
     /// The control of the state at the run's end; `None` if the search does not continue from it.
     pub control: Option<Box<[u8]>>,
-    /// The instant of the run's last move. The next field is the variable of the instant up to which nothing happens after
-    /// it.
+    /// The instant of the run's last move. The next field is the variable for the instant until which nothing happens
+    /// after that move.
     pub now: i64,
     pub silent_until: Option<u8>,
     /// Whether the run had a fault or a restart. The next field says whether the run made progress or came to an end.
@@ -57,7 +57,7 @@ impl Run {
         self.hits.extend(new.map(|shown| (shown, at)));
     }
 
-    /// Notes that the state at its end has no packed form.
+    /// Notes that the state at the run's end has no packed form.
     fn has_no_form(&mut self, violation: Violation) {
         match violation {
             Violation::Overflow => self.outgrown = true,
@@ -65,7 +65,7 @@ impl Run {
         }
     }
 
-    /// Whether one time has passed, and nothing else has happened.
+    /// Whether only time has passed in this run, once, and no event has happened.
     fn is_untouched(&self) -> bool {
         let mut later = self.moves.iter().skip(1);
         self.moves.first() == Some(&CellMove::Pass) && later.all(|&step| puts_off(step))
@@ -77,9 +77,10 @@ const fn puts_off(step: CellMove) -> bool {
     matches!(step, CellMove::GoOn(..) | CellMove::Stay(_))
 }
 
-/// The moves that are left at a point of the runs from one state.
+/// The moves that remain after the reduction [`leave_out`](Runner::leave_out), at one point of the runs from one state.
 pub(super) struct LeftOut {
-    /// The answers until there, and how many moves were made.
+    /// The answers of the run up to that point: how it decided the comparisons of times that the zone left open. The
+    /// next field is the number of moves made up to that point.
     pub answers: Vec<u16>,
     pub made: usize,
     pub moves: Vec<CellMove>,
@@ -91,11 +92,11 @@ pub struct Runner {
     /// The cell at its start, without symbols.
     pub(super) start: RunState,
     pub(super) run_state: RunState,
-    /// A second state, for states that the run itself does not reach.
+    /// A second state, into which the reductions load states that the run itself does not reach.
     pub(super) other: RunState,
-    /// What was left out in the runs from the present state.
+    /// The results of the reduction [`leave_out`](Self::leave_out) in the runs from the present kept state.
     pub(super) left: Vec<LeftOut>,
-    /// Whether no reduction is made that only a search by zones makes.
+    /// Whether the reductions that only a search by zones makes are switched off.
     pub(super) is_plain: bool,
     /// For a run that begins with the passing of time: the bounds on the time that may pass in its first state.
     limits: Vec<Ticks>,
@@ -106,7 +107,8 @@ pub struct Runner {
 
 impl Runner {
     pub fn new(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Self {
-        // Queues order symbols in another way than numbers, so the queues of the start must be made under a zone, too.
+        // Queues sort symbols in another way than numbers. So the queues of the cell at its start are also built under
+        // a zone, as symbols.
         let (mut start, _) = again(&Dbm::zero(), &[], |_| RunState::new(plan, faults));
         start.cell.is_symbolic = true;
         let reached = nothing_reached(&start);
@@ -124,17 +126,18 @@ impl Runner {
         }
     }
 
-    /// The remaining faults of a control, and the other bytes of it.
+    /// The remaining faults in a control, and the control's other bytes.
     pub fn split<'a>(&self, control: &'a [u8]) -> (Left, &'a [u8]) {
         self.start.split(control.get(1..).unwrap_or_default())
     }
 
-    /// Forgets what was found out in the runs from one state, before those from another one.
+    /// Forgets the results of [`left`](Self::left). Called before the runs from another kept state.
     pub fn begin_state(&mut self) {
         self.left.clear();
     }
 
-    /// Runs once, by the answers of `forks`. `is_sampled`: whether the invariants of the machines are checked.
+    /// Makes one run; `forks` answers its comparisons of times. `is_sampled`: whether the invariants of the machines
+    /// are checked.
     pub fn run(&mut self, forks: &Forks, from: From<'_>, is_sampled: bool) -> Run {
         self.limits.clear();
         let mut run = Run::default();
@@ -154,7 +157,8 @@ impl Runner {
                 }
             }
         }
-        // The choice in the state where the run begins is made in the run. A later state with a choice is kept instead.
+        // In the first state of a run, the run itself chooses a move. At a later state with a choice the run ends, and
+        // that state is kept.
         let may_choose = match from {
             From::Start => false,
             From::Kept(_) => step.is_none() || !self.is_plain,
@@ -164,7 +168,7 @@ impl Runner {
         run
     }
 
-    /// Makes moves until it reaches a state that is to be kept.
+    /// Makes moves until the run reaches a state that is to be kept.
     fn go(&mut self, forks: &Forks, mut step: Option<CellMove>, mut may_choose: bool, run: &mut Run) {
         let mut moves = Vec::new();
         loop {
@@ -199,7 +203,8 @@ impl Runner {
                 [only] if run.moves.len() < WALK => only,
                 _ if may_choose => {
                     let taken = moves[forks.choose(moves.len())];
-                    // If a move only puts something off, nothing happens, so the state after it is not worth keeping.
+                    // A move that only puts something off is no event. The state after it is not worth keeping, so the
+                    // run goes on.
                     may_choose = !self.is_plain && puts_off(taken);
                     taken
                 }
@@ -225,7 +230,7 @@ impl Runner {
         self.most_of(step).is_some_and(|most| forks.cut().is_surely_at_most(most, Ticks::ZERO))
     }
 
-    /// Keeps the times at which a move is possible.
+    /// Restricts the present times to those at which the move is possible.
     fn take_times(&self, forks: &Forks, step: CellMove) {
         let most = self.most_of(step).and_then(symbol_of);
         if let Some(Symbol { first, second, offset }) = most {
@@ -284,8 +289,8 @@ impl Runner {
         self.keep(forks, QUIET, (until, 0), run);
     }
 
-    /// Whether only a tick has passed since a state that was kept, and no bound of that state is reached. Then the kept
-    /// state includes the present times: it was kept for every number of ticks in which nothing happens.
+    /// Whether only a tick has passed since a kept state, and no bound of that state is reached. Then the kept state
+    /// includes the present times, because it was kept for every number of ticks in which nothing happens.
     fn goes_round(&self, forks: &Forks, run: &Run) -> bool {
         let is_left = |limit: &Ticks| forks.cut().is_surely_at_most(Ticks(2), *limit);
         !self.limits.is_empty()

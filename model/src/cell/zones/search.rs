@@ -1,4 +1,5 @@
-//! Expands kept states, the earliest first: so zones that are reached at about the same time are joined before they are expanded.
+//! Expands kept states in the order of their least time since the start. So zones that are reached at about the same
+//! time are joined before they are expanded.
 
 use super::runner::{From, Run, Runner};
 use super::still::Walks;
@@ -22,7 +23,7 @@ pub(super) struct Hit {
     /// answers of the run.
     pub state: Option<u32>,
     pub answers: Box<[u16]>,
-    /// The number of moves of the run that lead to the finding.
+    /// The number of moves from the beginning of the run to the finding.
     pub moves: usize,
 }
 
@@ -32,7 +33,8 @@ const BATCH: usize = 64;
 /// Batches between two looks at the memory in use.
 const LOOK: u64 = 32;
 
-/// One state in so many is in the sample, for which the invariants of the machines are checked.
+/// Of this many states one is in the sample. In the runs from a sampled state, the invariants of the state machines are
+/// checked.
 const SAMPLE: u32 = 16;
 
 pub(super) struct Search {
@@ -100,7 +102,7 @@ impl Search {
             while let at = next.fetch_add(1, Ordering::Relaxed)
                 && let Some(&state) = batch.get(at)
             {
-                // Only one thread takes this state, so the place is empty.
+                // Each number is given to one thread only, so the place is empty.
                 let _ = done[at].set(runner.expand(store, Some(state)));
             }
         };
@@ -130,7 +132,8 @@ impl Search {
             let core = core(&self.runners[0], &control);
             to = self.store.insert(control, core, Origin { parent, answers, zone }, (depth, since));
         }
-        // A run in which only time has passed leads back to its own state.
+        // If only time has passed, the run has no new state at its end and leads back to its own state. Such a run is
+        // not noted.
         let leads = run.gets_on || !to.is_empty();
         if let Some(from) = parent.filter(|_| leads && !run.takes_fault) {
             self.walks.note(from, if run.gets_on { &[] } else { &to });
@@ -139,7 +142,7 @@ impl Search {
 }
 
 impl Runner {
-    /// Runs from a kept state, or from the start, in all ways that its times allow.
+    /// Makes all runs from a kept state, or from the start of the cell: one for each way that the state's times allow.
     fn expand(&mut self, store: &Store, at: Option<u32>) -> Vec<(Run, Way)> {
         let mut runs = Vec::new();
         let (zone, from, before) = match at.map(|at| &store.states[at as usize]) {
@@ -171,7 +174,7 @@ struct Way {
     /// The times of the state at the run's end.
     zone: Option<Dbm>,
     is_exact: bool,
-    /// The least time since the start at which it ends, as far as is known.
+    /// The least time from the cell's start to the end of the run, as far as it is known.
     since: u64,
 }
 
@@ -180,7 +183,7 @@ pub(super) fn is_sampled(at: Option<u32>) -> bool {
     at.is_none_or(|at| at.is_multiple_of(SAMPLE))
 }
 
-/// The remaining faults of a control, and the rest of it.
+/// Splits a control into the remaining faults and all other bytes.
 pub(super) fn core(runner: &Runner, control: &[u8]) -> (Left, Box<[u8]>) {
     let (left, core) = runner.split(control);
     (left, [control.get(..1).unwrap_or_default(), core].concat().into())

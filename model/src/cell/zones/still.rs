@@ -9,7 +9,8 @@ use super::store::Store;
 /// Where runs without faults and restarts lead to.
 #[derive(Default)]
 pub struct Walks {
-    /// Runs without progress: the state where a run begins, and a kept state that covers the run's end.
+    /// The runs without progress: the number of the state where the run begins, and the number of a kept state that
+    /// covers the run's end.
     steps: Vec<(u32, u32)>,
     /// States from which a run leads to progress or to an end.
     free: Vec<u32>,

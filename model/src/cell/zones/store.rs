@@ -5,7 +5,8 @@ use crate::zone::dbm::Dbm;
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 
-/// How a part of a state's zone was reached: from which kept state, and by which answers of the run.
+/// How a part of a state's zone was reached: from which kept state, and with which answers to the run's comparisons of
+/// times.
 pub struct Origin {
     pub parent: Option<u32>,
     pub answers: Box<[u16]>,
@@ -16,13 +17,13 @@ pub struct Origin {
 pub struct State {
     /// The number of the state's control.
     pub control: u32,
-    /// The times of the state. `None` if another state includes these times.
+    /// The times of the state. `None`: another state includes these times.
     pub zone: Option<Dbm>,
-    /// The other state that includes the times of this one.
+    /// The other state that includes the times of this state.
     heir: Option<u32>,
     pub origins: Vec<Origin>,
     pub depth: u32,
-    /// The least time since the start at which it is reached, as far as is known.
+    /// The least time from the cell's start to this state, as far as it is known.
     pub since: u64,
 }
 
@@ -30,9 +31,9 @@ pub struct State {
 struct Known {
     left: Left,
     zone: Dbm,
-    /// The state that is still to be expanded with these times; `None` if they have been expanded.
+    /// The state that is still to be expanded with this zone; `None` if the zone has been expanded.
     state: Option<u32>,
-    /// The states that have these times.
+    /// The states whose times are in this zone.
     states: Vec<u32>,
 }
 
@@ -43,14 +44,15 @@ pub struct Store {
     /// The controls by number.
     pub controls: Vec<Box<[u8]>>,
     numbers: HashMap<Box<[u8]>, u32>,
-    /// For each control without its remaining faults, the known zones.
+    /// The known zones for each control without its remaining faults.
     known: HashMap<Box<[u8]>, Vec<Known>>,
-    /// The states that are still to be expanded, the earliest first, and some whose times others have.
+    /// The states that are still to be expanded, the earliest first. Some entries are out of date: another state has
+    /// taken over their times.
     open: BinaryHeap<Reverse<(u64, u32)>>,
 }
 
 impl Store {
-    /// The state that has the times of this one now.
+    /// The state that now has the times of this state.
     pub fn heir(&self, mut state: u32) -> u32 {
         while let Some(heir) = self.states[state as usize].heir {
             state = heir;
@@ -58,8 +60,8 @@ impl Store {
         state
     }
 
-    /// Keeps a state unless kept states cover its times. `core` is the control without its remaining faults. Returns the
-    /// states that include its times then.
+    /// Keeps a state, unless kept states cover its times. `core` is the control without the remaining faults. Returns
+    /// the states that include the new state's times afterwards.
     pub fn insert(
         &mut self,
         control: Box<[u8]>,
@@ -79,7 +81,7 @@ impl Store {
         });
         let (mut zone, mut since, mut origins) = (origin.zone.clone(), since, vec![origin]);
         let states = &mut self.states;
-        // It takes the place of the states whose times it has.
+        // The new state replaces the kept states whose times it includes.
         known.retain(|old| {
             let covers = left.covers(old.left) && old.zone.is_in(&zone);
             if covers && let Some(at) = old.state {
@@ -87,7 +89,7 @@ impl Store {
             }
             !covers
         });
-        // It joins with states that are still to be expanded, where the union is a zone.
+        // The new state joins with states that are still to be expanded, if the union of both zones is a zone.
         while let Some((at, state, merged)) = known.iter().enumerate().find_map(|(at, old)| {
             let state = old.state.filter(|_| old.left == left)?;
             zone.merged(&old.zone).map(|merged| (at, state, merged))
@@ -105,8 +107,8 @@ impl Store {
         vec![number]
     }
 
-    /// The next states to be expanded, at most so many, all reached at the same least time. From then on no other one merges with
-    /// them.
+    /// The next states to be expanded: at most `most`, all with the same least time since the start. From then on no
+    /// other state joins with them.
     pub fn next(&mut self, most: usize, core: impl Fn(&[u8]) -> Box<[u8]>) -> Vec<u32> {
         let mut next = Vec::new();
         while next.len() < most
@@ -132,18 +134,20 @@ impl Store {
         next.into_iter().map(|(_, number)| number).collect()
     }
 
-    /// The zones of a control, given without its remaining faults, with at least so many faults left.
+    /// The zones of a control that were reached with at least the faults `left`. `core` is the control without the
+    /// remaining faults.
     pub fn zones(&self, left: Left, core: &[u8]) -> impl Iterator<Item = &Dbm> {
         let known = self.known.get(core).into_iter().flatten();
         known.filter(move |known| known.left.covers(left)).map(|known| &known.zone)
     }
 
-    /// How many states are still to be expanded, and some whose times others have.
+    /// The number of states that are still to be expanded. States whose times another state has taken over may be
+    /// counted, too.
     pub fn open(&self) -> usize {
         self.open.len()
     }
 
-    /// How many states are kept, without states whose times other states include.
+    /// The number of kept states, without those whose times another state includes.
     pub fn len(&self) -> usize {
         self.states.iter().filter(|state| state.zone.is_some()).count()
     }
@@ -155,7 +159,7 @@ impl Store {
     }
 }
 
-/// The first zone that covers these times.
+/// The first zone that covers the times `zone` and was reached with at least the faults `left`.
 fn covering<'a>(known: &'a [Known], left: Left, zone: &Dbm) -> Option<&'a Known> {
     known.iter().find(|known| known.left.covers(left) && zone.is_in(&known.zone))
 }

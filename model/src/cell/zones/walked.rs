@@ -1,7 +1,9 @@
-//! Looks up the states of random walks at plain ticks among the kept zones.
+//! Checks the search by zones against random walks at plain ticks: looks up the states of each walk among the kept
+//! zones.
 //!
-//! Between two instants of a walk its state must be in a kept zone of its control. One difference is none: plain ticks do not count
-//! how long ago the least time of an action was, and zones do. So a least time that is zero is looked up as any time that is over.
+//! Between two instants of a walk, a kept zone of the state's control must contain the state's times. One difference is
+//! allowed: zones count how long ago the least time of an action has passed, and plain ticks do not. So a least time of
+//! zero on plain ticks is looked up as any least time that has passed.
 
 use super::concrete::at_every_tick;
 use super::runner::{QUIET, Runner};
