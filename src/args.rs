@@ -47,7 +47,7 @@ pub struct Cli {
     /// When to use colour; NO_COLOR is honoured.
     #[arg(long, global = true, value_enum, default_value_t = Color::Auto, value_name = "WHEN")]
     pub color: Color,
-    /// What to do.
+    /// The verb: what the program is to do.
     #[command(subcommand)]
     pub verb: Option<Verb>,
     /// The flags of `verify`, for when no verb is given.
@@ -58,14 +58,16 @@ pub struct Cli {
 /// The verbs.
 #[derive(Debug, Subcommand)]
 pub enum Verb {
-    /// Check the protocol's claims, or a cell, by exhausting every schedule within stated bounds.
+    /// Check the protocol's claims, or a cell: search every schedule within stated bounds.
     ///
-    /// With a cell file: its own scripts, first without faults, then with those that it declares. Deadlocks, waits in
-    /// vain, tasks that end badly, checks that do not hold: each on its line, with the shortest path there. A search
-    /// that ends before everything was looked at says so.
+    /// With a cell file, the scripts of that cell are checked, first without faults, then with the faults that the cell
+    /// declares. A finding is a deadlock, a wait that nothing can end, a task that ends badly, or a check that does not
+    /// hold. Each finding has its line and the shortest path to it. If a search ends before it has covered everything,
+    /// the answer says so.
     ///
-    /// Without: every claim has an expectation: the decided rules hold, and each rejected reading of the paper fails with a
-    /// shortest counterexample. The verdict of a run is whether everything came out as expected.
+    /// Without a cell file, the protocol's claims are checked. Each claim has an expected outcome: under the decided
+    /// rules it holds, and under each rejected reading of the paper it fails, with a shortest counterexample. A run
+    /// succeeds if every outcome is the expected one.
     #[command(after_help = "\
 Examples:
   imrs verify                        all claims, smoke bounds
@@ -78,14 +80,15 @@ Examples:
   imrs verify --full --memory 8G     the large bounds
   imrs verify --format json | jq '.claims[] | select(.as_expected | not)'")]
     Verify(VerifyVerb),
-    /// Run a cell at random, on the state machine itself, with faults drawn among those that it declares.
+    /// Run a cell at random on the protocol's state machine, with faults drawn from those that the cell declares.
     ///
-    /// For cells that are too large for `imrs verify`, and for longer runs than its search reaches. Each seed is one run: which
-    /// packets are lost, when nodes stop, how long actions take. What is found is shrunk to the fewest faults and choices that
-    /// show it. Nothing found proves nothing.
+    /// This is for cells that are too large for `imrs verify`, and for longer runs than its search reaches. Each seed
+    /// is one run: it decides which packets are lost, when nodes stop and how long actions take. A run with a finding
+    /// is shrunk to the fewest faults and choices that show the finding. If no run has a finding, that proves nothing
+    /// about other runs.
     ///
-    /// --plan takes the faults from a file instead, with choices of each seed, or with those that --save kept in it. Times
-    /// are from the start, and packets and actions are counted from 1.
+    /// With --plan a file gives the faults. If --save wrote the file, it also gives the choices; otherwise each seed
+    /// draws its own choices. In such a file, times are counted from the start, and packets and actions from 1.
     #[command(
         verbatim_doc_comment,
         after_help = "\
@@ -144,11 +147,12 @@ Examples:
   imrs graph examples/beam_lift.cell > beam_lift.svg
   imrs graph examples/beam_lift.cell --to dot | dot -Tpdf > beam_lift.pdf")]
     Graph(GraphArgs),
-    /// Make the keys with which the nodes of a cell close their packets.
+    /// Make the keys with which the nodes of a cell encrypt and authenticate their packets.
     ///
-    /// Each node gets a file with its own key, the public keys of the others, and a key of the cell. Nodes whose keys were made
-    /// together can talk; no other process can read what they send, forge it, or repeat it. The files are secret: each belongs
-    /// on the machine of its node, and nowhere else. To replace keys, make all of them anew and start all nodes again.
+    /// Each node gets a file with its own key, the public keys of the other nodes, and a key of the cell. Nodes whose
+    /// keys were made together can communicate; no other process can read, forge or repeat their packets. The files are
+    /// secret: keep each file on the machine of its node only. To replace keys, make all of them anew and start all
+    /// nodes again.
     #[command(after_help = "\
 Examples:
   imrs keygen cell.cell                   into the folder cell.keys
@@ -157,32 +161,33 @@ Examples:
     Keygen(KeygenArgs),
     /// Run a cell, one process per node over loopback UDP.
     ///
-    /// The cell's actions are simulated: each takes a time from its interval, the same under the same --seed. An action
-    /// bound by --action is a command to execute: the action's arguments follow the command's own, without a shell; exit
-    /// code 0 is success, the first line of standard output the result. A command is killed, with everything that it
-    /// started, when it ends, when its action is cut short or takes 2 s longer than declared, when the lease of its task
-    /// ends, and when its node ends, for whatever reason. Its environment has IMRS_DEADLINE_US (by when it must be over,
-    /// in microseconds of CLOCK_BOOTTIME) and, under a lease, IMRS_EPOCH. Its standard input has a line `deadline N` at
-    /// once and for each renewal; its end means: stop now.
+    /// The cell's actions are simulated: each takes a time from its interval, and the same --seed gives the same times.
+    /// With --action an action executes a command instead, without a shell: the action's arguments follow the command's
+    /// own. Exit code 0 means success, and the first line of standard output is the result. A command is killed, with
+    /// everything that it started, when the action is cut short or takes 2 s longer than declared, when the lease of
+    /// the task ends, and when the node ends, for whatever reason. What a command has started is also killed when the
+    /// command itself ends. The command's environment has IMRS_DEADLINE_US (the instant by which the command must have
+    /// ended, in microseconds of CLOCK_BOOTTIME) and, under a lease, IMRS_EPOCH. Its standard input gets a line
+    /// `deadline N` at once and at each renewal of the lease. When its standard input ends, the command must stop.
     ///
-    /// The cell's checks (`never`, `always`, `leads`) are judged by what the run does. One that does not hold is reported
-    /// with its line and values, and ends with exit code 1. With --node only checks about tasks of that node are judged.
-    /// Where evidence is missing (a check whose tasks reported nothing, a node that could not report everything), the
-    /// answer is `incomplete`, exit code 5.
+    /// The cell's checks (`never`, `always`, `leads`) are judged by what happens in the run. A check that does not hold
+    /// is reported with its line and values, and the exit code is 1. With --node only checks about tasks of that node
+    /// are judged. If evidence is missing, the answer is `incomplete`, with exit code 5: for example, a check has a
+    /// task that reported nothing, or a node could not report everything.
     ///
-    /// A run ends when all of its tasks have. A task that serves for ever (`loop` without `exit`, or handlers only) keeps it going: imrs
-    /// says when only such tasks are left, and --until-idle ends the run then.
+    /// A run ends when all of its tasks have ended. A task that serves for ever (`loop` without `exit`, or handlers
+    /// only) keeps the run going. When only such tasks are left, imrs says so, and with --until-idle the run ends.
     ///
-    /// The run does not wait for a slow reader: it leaves out lines that come faster than they are read, and counts them.
-    /// The summary waits for its reader, for 5 s at most; a second Ctrl-C ends that wait.
+    /// The run does not wait for a slow reader of its output: lines that the reader does not take in time are left out
+    /// and counted. Only the summary waits for the reader, for at most 5 s; a second Ctrl-C ends that wait.
     ///
-    /// With --node one node of the cell runs here, at the address that the cell declares for it (`node n at "10.0.0.11"
-    /// port 7000;`), and sends to the other nodes at theirs. It remembers its incarnation in $XDG_STATE_HOME/imrs.
-    /// It takes the keys of `imrs keygen`, so that no other process can read or forge its packets. Without --node the run makes keys
-    /// of its own, and forgets them.
+    /// With --node only one node of the cell runs here, at the address that the cell declares for it (`node n at
+    /// "10.0.0.11" port 7000;`), and sends to the other nodes at their declared addresses. The node stores its
+    /// incarnation in $XDG_STATE_HOME/imrs. It takes the keys that `imrs keygen` made, so that no other process can
+    /// read or forge its packets. Without --node the run makes its own keys, and forgets them at its end.
     ///
-    /// With --rt the nodes run under SCHED_FIFO with their memory locked, each on one core. What the kernel refuses of
-    /// that is reported once and shown in the monitor (`NO RT`); the nodes run without it.
+    /// With --rt the nodes run under SCHED_FIFO with their memory locked, each on one core. If the kernel refuses a
+    /// part of this, the nodes run without that part: imrs reports it once, and the monitor shows `NO RT`.
     #[command(after_help = "\
 Examples:
   imrs run examples/beam_lift.cell                    until Ctrl-C
@@ -198,12 +203,13 @@ Examples:
     Run(RunArgs),
     /// Print a systemd unit that runs one node of a cell, and starts it again after a failure or a reboot.
     ///
-    /// The unit runs this program with `run CELL --node NAME` and the options behind `--`, as the user `imrs` or the one that
-    /// --user names. `imrs run` reports to systemd when its node is up, and then pings it: if the node is silent for 3 s, systemd
-    /// starts it again, in its next incarnation. A stop lets the node end its tasks in order. What the node must remember is in
-    /// /var/lib/imrs, and the sockets for monitors are in /run/imrs.
+    /// The unit runs this program with `run CELL --node NAME` and the options behind `--`, as the user of --user. `imrs
+    /// run` reports to systemd when its node is up, and then sends pings. If the node is silent for 3 s, systemd starts
+    /// it again, in its next incarnation. When the unit is stopped, the node ends its tasks in order. The data that the
+    /// node must keep is in /var/lib/imrs, and the sockets for monitors are in /run/imrs.
     ///
-    /// The cell, the options and the keys are checked as `imrs run` checks them, so print the unit on the machine of the node.
+    /// The unit is printed only if the cell, the options and the keys pass the checks of `imrs run`. So run this verb
+    /// on the machine of the node.
     #[command(after_help = "\
 Examples:
   imrs unit /etc/imrs/line.cell --node feeding
@@ -213,9 +219,9 @@ Examples:
     Unit(UnitArgs),
     /// Run a built-in cell with a fault, one process per node over loopback UDP, and explain what happened.
     ///
-    /// Every demo brings a fault of its own, at the moment when it hurts. It ends with the outcome, in words, and
-    /// with 1 where that is not what is promised. It takes all flags of `run`; faults of your own take the place of
-    /// the demo's.
+    /// Every demo injects a fault of its own at the worst moment. A demo ends with an explanation of the outcome, and
+    /// with exit code 1 if the promise of the demo was not kept. It takes all flags of `run`. If you give faults
+    /// yourself, they replace the demo's own fault.
     #[command(after_help = "\
 Examples:
   imrs demo beam-lift                        a link fails in mid lift: both arms stop
@@ -230,7 +236,7 @@ Examples:
 
 While it runs, `imrs monitor` in another terminal shows the nodes.")]
     Demo(DemoArgs),
-    /// Watch the nodes that run on this machine: who waits for whom, and how long they still can.
+    /// Watch the nodes that run on this machine: which task waits for which, and how long it can still wait.
     #[command(after_help = "\
 Examples:
   imrs monitor                          the nodes that run on this machine
@@ -243,18 +249,19 @@ Examples:
   imrs monitor --replay run.imrs --at -30s --speed 4
   imrs verify cell.cell --save found.imrs; imrs monitor --replay found.imrs")]
     Monitor(MonitorArgs),
-    /// Run the state machine again on what a node recorded, and compare every output.
+    /// Run the recorded inputs of a node through the state machine again, and compare every output.
     ///
-    /// A recording that was cut off or misses inputs is judged as far as it goes. Where nothing differs there, the answer is
-    /// `incomplete`, with exit code 5. So is that of --model where inputs are missing, where a node was restarted (the model
-    /// follows a node only up to its end), or where late nodes leave more ways to round times than are tried.
+    /// A recording that was cut off, or that misses inputs, is judged as far as it goes. If nothing differs up to
+    /// there, the answer is `incomplete`, with exit code 5. With --model the answer is also `incomplete` if a node was
+    /// restarted (the model follows a node only up to its end), or if nodes acted late and there are more ways to round
+    /// their times than were tried.
     #[command(after_help = "\
 Examples:
   imrs demo beam-lift --record run.imrs
   imrs replay run.nl.imrs
   imrs replay run.*.imrs --cell cell.cell --model    was this run a path of the model?")]
     Replay(ReplayArgs),
-    /// Turn a recording of `imrs monitor` into what other tools open: MCAP, lines of JSON, a sequence chart, an asciicast.
+    /// Convert a recording of `imrs monitor` for other tools: MCAP, lines of JSON, a sequence chart, an asciicast.
     #[command(after_help = "\
 Examples:
   imrs monitor --record run.imrs --for 30s
@@ -263,12 +270,13 @@ Examples:
   imrs export run.imrs --to svg --last 200           a sequence chart
   imrs export run.imrs --to asciicast --keys 3       the rendezvous, as the screen showed them")]
     Export(ExportArgs),
-    /// Measure the runtime on this machine, side by side with hand-written floors.
+    /// Measure the runtime on this machine, side by side with hand-written baselines.
     ///
     /// The default build leaves this out: `cargo run --release --features bench -- bench` builds it and measures.
     ///
-    /// Cases are measured in turns, round by round, and only ratios of one round are judged: times of a shared machine move
-    /// by a factor of two. The package `imrs-bench` adds the channels, actors and links that people would pick instead.
+    /// Cases are measured in turns, round by round, and only ratios of values from one round are judged, because times
+    /// on a shared machine vary by a factor of two. The package `imrs-bench` also measures channels, actors and links
+    /// of other libraries.
     #[command(after_help = "\
 Examples:
   imrs bench --quick                         that it runs: half a minute
@@ -286,11 +294,11 @@ Examples:
     /// Print a manual page, in roff.
     #[command(after_help = "Examples:\n  imrs man | man -l -\n  imrs man run | man -l -")]
     Man {
-        /// The verb that it is of [default: the command].
+        /// The verb of the manual page [default: the page of the whole command].
         #[arg(value_name = "VERB")]
         verb: Option<String>,
     },
-    /// Run one node of a cell, as ordered on standard input. The launcher starts itself with this.
+    /// Run one node of a cell, as ordered on standard input. The launcher starts this program again with this verb.
     #[command(hide = true)]
     Node,
 }

@@ -3,7 +3,7 @@
 #[cfg(feature = "bench")]
 pub use imrs_bench::BenchArgs;
 
-/// Whatever follows the verb: this build measures nothing.
+/// Any arguments behind the verb: this build ignores them, because it contains no measurements.
 #[cfg(not(feature = "bench"))]
 #[derive(Debug, clap::Args)]
 pub struct BenchArgs {

@@ -4,13 +4,13 @@ use super::Format;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
-/// What `check` can be asked.
+/// The arguments of `imrs check`.
 #[derive(Args, Clone, Debug)]
 pub struct CheckArgs {
     /// The cell file; `-` is standard input.
     #[arg(value_name = "CELL")]
     pub cell: PathBuf,
-    /// Allow only the keywords of the paper, and look at its own rules.
+    /// Allow only the keywords of the paper, and apply the paper's own rules.
     #[arg(long)]
     pub paper: bool,
     /// The form of the answer.
@@ -18,21 +18,21 @@ pub struct CheckArgs {
     pub format: Format,
 }
 
-/// What `fmt` can be asked.
+/// The arguments of `imrs fmt`.
 #[derive(Args, Clone, Debug)]
 pub struct FmtArgs {
-    /// The cell files; `-` is standard input, written to standard output.
+    /// The cell files. With `-` the text comes from standard input and goes to standard output.
     #[arg(value_name = "CELL", required = true)]
     pub cells: Vec<PathBuf>,
-    /// Change nothing; say what would be changed.
+    /// Change nothing; show what would be changed.
     #[arg(long)]
     pub check: bool,
 }
 
-/// What `explain` can be asked.
+/// The arguments of `imrs explain`.
 #[derive(Args, Clone, Debug)]
 pub struct ExplainArgs {
-    /// The code [default: list them all].
+    /// The code [default: list all codes].
     #[arg(value_name = "CODE")]
     pub code: Option<String>,
     /// The form of the answer.
@@ -40,7 +40,7 @@ pub struct ExplainArgs {
     pub format: Format,
 }
 
-/// What `graph` can be asked.
+/// The arguments of `imrs graph`.
 #[derive(Args, Clone, Debug)]
 pub struct GraphArgs {
     /// The cell file; `-` is standard input.
@@ -54,8 +54,8 @@ pub struct GraphArgs {
 /// The form of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Picture {
-    /// For a browser.
+    /// A picture for a browser.
     Svg,
-    /// For Graphviz.
+    /// A text for Graphviz.
     Dot,
 }

@@ -3,31 +3,32 @@
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
-/// What `export` can be asked.
+/// The arguments of `imrs export`.
 #[derive(Args, Clone, Debug)]
 pub struct ExportArgs {
-    /// The recording: of `imrs monitor --record`, or a finding of `imrs verify CELL --save`.
+    /// The recording: one of `imrs monitor --record`, or a finding that `imrs verify CELL --save` saved.
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
-    /// The form.
+    /// The form of the export.
     #[arg(long, value_enum, value_name = "FORM")]
     pub to: ExportForm,
-    /// Where to [default: beside the recording, with the form's ending; never over another file]; `-` is standard output.
+    /// The output file [default: beside the recording, with the ending of the form; never an existing file]; `-` is
+    /// standard output.
     #[arg(long, short, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// Replace what the file of --out holds.
+    /// Replace an existing file of --out.
     #[arg(long, requires = "out")]
     pub force: bool,
-    /// Of an asciicast: columns and rows.
+    /// For an asciicast: columns and rows.
     #[arg(long, value_name = "WxH", default_value = "120x40", value_parser = size)]
     pub size: (u16, u16),
-    /// Of an asciicast: keys that are pressed before it begins, as `3` for the screen of the rendezvous.
+    /// For an asciicast: keys that are pressed before it begins, such as `3` for the screen of the rendezvous.
     #[arg(long, value_name = "KEYS", default_value = "")]
     pub keys: String,
-    /// Of an asciicast: frames a second, at most.
+    /// For an asciicast: the most frames a second.
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..=60))]
     pub fps: u16,
-    /// Of a chart: how much it shows, the last things that happened.
+    /// For a chart: how many of the last events it shows.
     #[arg(long, value_name = "N", default_value_t = 400, value_parser = clap::value_parser!(u32).range(1..=20_000))]
     pub last: u32,
 }
@@ -35,9 +36,9 @@ pub struct ExportArgs {
 /// The form of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum ExportForm {
-    /// For Foxglove and PlotJuggler.
+    /// A file for Foxglove and PlotJuggler.
     Mcap,
-    /// A line of JSON for everything that was seen.
+    /// A line of JSON for each event.
     Jsonl,
     /// A sequence chart.
     Svg,
@@ -46,7 +47,7 @@ pub enum ExportForm {
 }
 
 impl ExportForm {
-    /// The ending of its files.
+    /// The ending of the names of files in this form.
     pub const fn ending(self) -> &'static str {
         match self {
             Self::Mcap => "mcap",

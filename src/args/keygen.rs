@@ -3,16 +3,16 @@
 use clap::Args;
 use std::path::PathBuf;
 
-/// What `keygen` can be asked.
+/// The arguments of `imrs keygen`.
 #[derive(Args, Clone, Debug)]
 pub struct KeygenArgs {
-    /// The cell.
+    /// The cell file.
     #[arg(value_name = "CELL")]
     pub cell: PathBuf,
-    /// The folder for the files, made if it is missing [default: cell.keys beside cell.cell].
+    /// The folder for the key files; created if it is missing [default: cell.keys beside cell.cell].
     #[arg(long, value_name = "FOLDER")]
     pub out: Option<PathBuf>,
-    /// Replace the keys that are there.
+    /// Replace existing keys.
     #[arg(long)]
     pub force: bool,
 }

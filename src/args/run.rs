@@ -8,24 +8,24 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// What `demo` can be asked.
+/// The arguments of `imrs demo`.
 #[derive(Args, Clone, Debug)]
 pub struct DemoArgs {
-    /// Which cell.
+    /// The demo to run.
     #[arg(value_enum, value_name = "NAME")]
     pub cell: Scene,
-    /// Run without the demo's own fault; faults of your own take its place, too.
+    /// Run without the demo's own fault. Faults that you give yourself replace the demo's fault, too.
     #[arg(long)]
     pub no_fault: bool,
-    /// How it is run.
+    /// The options of the run.
     #[command(flatten)]
     pub launch: LaunchArgs,
 }
 
-/// What `run` can be asked.
+/// The arguments of `imrs run`.
 #[derive(Args, Clone, Debug)]
 pub struct RunArgs {
-    /// The cell.
+    /// The cell file.
     #[arg(value_name = "CELL")]
     pub cell: PathBuf,
     /// Allow only the keywords of the paper, and run its own rules.
@@ -34,33 +34,34 @@ pub struct RunArgs {
     /// Execute a command for an action; may be given several times.
     #[arg(long, value_name = "NAME=CMD")]
     pub action: Vec<ActionCommand>,
-    /// How it is run.
+    /// The options of the run.
     #[command(flatten)]
     pub launch: LaunchArgs,
 }
 
-/// How a cell is run.
+/// The options of a run, of a cell file or of a demo.
 #[derive(Args, Clone, Debug)]
 pub struct LaunchArgs {
-    /// Run all nodes in this process, joined without sockets.
+    /// Run all nodes in this process, connected without sockets.
     #[arg(long, conflicts_with = "node")]
     pub in_process: bool,
-    /// Run this node only, at the address that the cell declares; the others run elsewhere.
+    /// Run only this node, at the address that the cell declares for it; the other nodes run elsewhere.
     #[arg(long, value_name = "NAME")]
     pub node: Option<String>,
-    /// Close the node's packets with its keys in this folder, made by `imrs keygen` [default: the folder beside the cell].
+    /// Encrypt the node's packets with its keys in this folder, made by `imrs keygen` [default: the folder beside the
+    /// cell].
     #[arg(long, value_name = "FOLDER", requires = "node", conflicts_with = "insecure")]
     pub keys: Option<PathBuf>,
-    /// Run without keys, though any process that reaches a node could forge its packets; all nodes must do the same.
+    /// Run without keys: then any process that reaches a node can forge its packets. All nodes must do the same.
     #[arg(long, conflicts_with = "in_process")]
     pub insecure: bool,
-    /// Serve monitors over TCP, too; of several nodes each takes the next port.
+    /// Also serve monitors over TCP. If there are several nodes, each takes the next port.
     #[arg(long, value_name = "ADDR:PORT")]
     pub observe: Option<SocketAddr>,
-    /// Over TCP show the nodes only to monitors that have the token in this file (16 to 256 bytes).
+    /// Over TCP, serve only monitors that have the token in this file (16 to 256 bytes).
     #[arg(long, value_name = "FILE", requires = "observe")]
     pub observe_token: Option<PathBuf>,
-    /// Serve monitors off the loopback though no token is asked for.
+    /// Serve monitors at an address off the loopback without a token.
     #[arg(long, requires = "observe", conflicts_with = "observe_token")]
     pub observe_insecure: bool,
     /// Run the nodes under SCHED_FIFO, with their memory locked, each on one core.
@@ -81,39 +82,40 @@ pub struct LaunchArgs {
     /// Start a killed node again after a while (counted from the start), in its next incarnation.
     #[arg(long, value_name = "NAME@TIME")]
     pub restart: Vec<Restart>,
-    /// Interrupt the link between two nodes after a while, for a while.
+    /// Interrupt the link between two nodes after a while, for a given time.
     #[arg(long, value_name = "A--B@TIME+TIME")]
     pub cut: Vec<Cut>,
-    /// Record what goes into every communication task; each node writes a file of its own beside this name.
+    /// Record the inputs of every communication task. Each node writes a file of its own, whose name is made from this
+    /// name.
     #[arg(long, value_name = "FILE")]
     pub record: Option<PathBuf>,
-    /// Replace what files of the recordings' names hold.
+    /// Replace existing files that have the names of the recordings.
     #[arg(long, requires = "record")]
     pub force: bool,
-    /// Seeds the lost packets and the lengths of the tasks' work [default: from the clock].
+    /// The seed of the lost packets and of the times of simulated actions [default: from the clock].
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// The form of the answer; JSON ends with one line, the summary.
+    /// The form of the answer; in JSON the last line is the summary.
     #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
     pub format: Format,
 }
 
-/// What `replay` can be asked.
+/// The arguments of `imrs replay`.
 #[derive(Args, Clone, Debug)]
 pub struct ReplayArgs {
     /// The recordings of nodes.
     #[arg(value_name = "FILE", required = true)]
     pub files: Vec<PathBuf>,
-    /// The cell that was run [default: the cell of a demo].
+    /// The file of the cell that was run [default: the cells of the demos].
     #[arg(long, value_name = "CELL")]
     pub cell: Option<PathBuf>,
-    /// It was run with `--paper`.
+    /// The cell was run with `--paper`.
     #[arg(long, requires = "cell")]
     pub paper: bool,
-    /// Say whether the whole run is a path of the model that `imrs verify` explores: takes the recordings of all nodes.
+    /// Say whether the whole run is a path of the model that `imrs verify` explores. Needs the recordings of all nodes.
     #[arg(long, requires = "cell")]
     pub model: bool,
-    /// Give up following the model after so long.
+    /// The longest time for which the run is followed through the model.
     #[arg(long, value_name = "TIME", requires = "model", default_value = "30s", value_parser = crate::time::parse)]
     pub within: Duration,
     /// The form of the answer.

@@ -28,7 +28,7 @@ fn envelope(purpose: Purpose) -> Envelope {
     }
 }
 
-/// The bytes of a datagram whose session copies the bytes that it should encrypt.
+/// The bytes of a datagram from a session that copies the bytes instead of encrypting them.
 fn sealed(envelope: &Envelope, packets: usize) -> Vec<u8> {
     let mut datagram = Datagram::default();
     (0..packets).for_each(|_| assert!(datagram.push(&[6; 32])));
@@ -103,7 +103,8 @@ fn other_versions_and_modes_are_told_by_name() {
     assert_eq!(with(15, 6), Some(EnvelopeError::Purpose(6)));
 }
 
-/// Bytes that begin as a datagram of mode 1 does, of any kind. More often than not they have the length of a valid datagram.
+/// Bytes that begin like a datagram of mode 1, of any kind. In most cases they also have the length of a valid
+/// datagram.
 fn beginnings() -> impl Strategy<Value = Vec<u8>> {
     let lengths = prop_oneof![
         Just(72_usize),

@@ -1,4 +1,4 @@
-//! One frame of every kind that the later versions of the observation protocol added.
+//! One frame of every kind that versions 1.2 to 1.4 of the observation protocol added.
 
 use imrs_protocol::{NodeId, TaskId, Ticks};
 use imrs_wire::obs::{

@@ -53,22 +53,23 @@ impl<'a> Scanner<'a> {
         self.token.clone()
     }
 
-    /// Its text.
+    /// The text of the token that was found last.
     pub(crate) fn slice(&self) -> &'a str {
         &self.text[self.token.clone()]
     }
 
-    /// What comes after it.
+    /// The text behind the token that was found last.
     pub(crate) fn remainder(&self) -> &'a str {
         &self.text[self.token.end..]
     }
 
-    /// Makes the token that was found last longer by so many bytes.
+    /// Makes the token that was found last longer by this many bytes.
     pub(crate) const fn bump(&mut self, bytes: usize) {
         self.token.end += bytes;
     }
 
-    /// Finds the next token. The inner option is empty if the next character begins none.
+    /// Finds the next token. The outer option is `None` at the end of the text; the inner one if the next character
+    /// begins no token.
     pub(crate) fn next_token(&mut self) -> Option<Option<Kind>> {
         let blank = |c: char| matches!(c, ' ' | '\t' | '\r' | '\n' | '\x0C');
         let rest = self.remainder().trim_start_matches(blank);
@@ -99,7 +100,7 @@ fn sign(rest: &str) -> Option<(Kind, usize)> {
     })
 }
 
-/// A text in quotes. It ends at the end of the line at the latest.
+/// A text in quotes, which ends at its closing quote, or at the end of the line if there is none.
 fn quoted(rest: &str, quote: char) -> (Kind, usize) {
     let ends = |c: char| c == quote || c == '\n';
     let end = rest[1..].find(ends).map_or(rest.len(), |end| end + 1);
@@ -112,7 +113,8 @@ fn quoted(rest: &str, quote: char) -> (Kind, usize) {
     }
 }
 
-/// What begins with a digit: the longest of a whole number, a real number, and a number with letters in it, which is none.
+/// A token that begins with a digit: the longest of a whole number, a real number, and a wrong number, which contains
+/// letters.
 fn number(text: &[u8]) -> (Kind, usize) {
     let whole = digits(text, 0);
     let real = match text.get(whole..) {
@@ -129,7 +131,7 @@ fn number(text: &[u8]) -> (Kind, usize) {
     }
 }
 
-/// The end of digits with single `_` between them, from the digit at `at`.
+/// The end of a row of digits that begins at `at`. Between two digits there may be one `_`.
 fn digits(text: &[u8], mut at: usize) -> usize {
     loop {
         at += 1;
@@ -141,7 +143,7 @@ fn digits(text: &[u8], mut at: usize) -> usize {
     }
 }
 
-/// The end of an exponent at `at`, if there is one.
+/// The end of the exponent that begins at `at`, if there is one.
 fn exponent(text: &[u8], at: usize) -> Option<usize> {
     let first = match text.get(at..)? {
         [b'e' | b'E', b'+' | b'-', b'0'..=b'9', ..] => at + 2,
@@ -151,12 +153,12 @@ fn exponent(text: &[u8], at: usize) -> Option<usize> {
     Some(first + text[first..].iter().take_while(|byte| byte.is_ascii_digit()).count())
 }
 
-/// The end of letters, digits and `_` from `at`.
+/// The end of the word of letters, digits and `_` that begins at `at`.
 fn word(text: &[u8], at: usize) -> usize {
     at + text[at..].iter().take_while(|byte| byte.is_ascii_alphanumeric() || **byte == b'_').count()
 }
 
-/// The length of digits with a letter or a `_` too much, before the point or after it.
+/// The length of a number that is wrong because of a letter or a superfluous `_`, before or behind the decimal point.
 fn bad_number(text: &[u8]) -> Option<usize> {
     let has_more = |from: usize, to: usize| text[from + 1..to].iter().any(|byte| !byte.is_ascii_digit());
     let end = word(text, 0);

@@ -59,7 +59,7 @@ pub struct Formats {
 pub enum Behaviour {
     /// The task runs a script.
     Script(Box<Script>),
-    /// A Rust program is the behaviour; it acts at most this often.
+    /// A Rust program is the behaviour. The program acts at most this often.
     Extern(Option<Rate>),
 }
 

@@ -25,8 +25,8 @@ fn eight(h: &Header, at: usize) -> u64 {
     u64::from(four(h, at)) | u64::from(four(h, at + 4)) << 32
 }
 
-/// Decodes the flags of a datagram and its extra byte: the purpose, whether the sender was restarted, and whether there
-/// is an echo.
+/// Decodes the flags of a datagram and the extra byte behind them: the purpose, whether the sender was restarted, and
+/// whether there is an echo.
 pub(super) fn purpose_of(flags: u8, extra: u8) -> Result<(Purpose, bool, bool), EnvelopeError> {
     let flag = |flag: u8| flags & flag != 0;
     let purpose = match flags & PURPOSE_MASK {

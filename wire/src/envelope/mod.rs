@@ -138,10 +138,10 @@ pub enum Purpose {
     Packets,
     /// The datagram introduces the sender, and carries no packet.
     Greeting(Greeting),
-    /// The datagram tells the receiver that the sender drops all of the receiver's datagrams. It carries no packet.
+    /// The sender drops all of the receiver's datagrams. Such a datagram carries no packet.
     Refusal(Refused),
-    /// The sender has stopped in order: none of its tasks runs any more, and its session ends. It carries no packet, and has a
-    /// counter as datagrams with packets have. Programs from before D205 drop it.
+    /// The sender has stopped in order: none of its tasks runs any more, and its session ends. Such a datagram carries
+    /// no packet, but has a counter, as datagrams with packets have. Programs from before decision D205 drop it.
     Goodbye,
 }
 
@@ -170,7 +170,7 @@ pub enum Refused {
     OtherKeys,
     /// One of the two nodes has keys, and the other node has none.
     OtherMode,
-    /// Their envelopes have different versions.
+    /// The envelopes of the two nodes have different versions.
     OtherVersion,
 }
 

@@ -1,4 +1,4 @@
-//! Decodes frames. Decoding never fails otherwise than with a [`DecodeError`], whatever the bytes are.
+//! Decodes frames. Whatever the bytes are, decoding gives a frame or a [`DecodeError`].
 
 use super::version::Version;
 use serde::de::DeserializeOwned;

@@ -3,7 +3,8 @@
 use imrs_protocol::{NodeId, Ticks};
 use serde::{Deserialize, Serialize};
 
-/// The health of a node's links. The frame is sent with the [`Vitals`](super::Vitals), if the node has links that are measured.
+/// The health of a node's links. If the node has links that it measures, it sends this frame with the
+/// [`Vitals`](super::Vitals).
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LinkReports {
     /// The node's monotonic clock, in microseconds.
@@ -12,55 +13,58 @@ pub struct LinkReports {
     pub links: Vec<LinkReport>,
 }
 
-/// One direction of a link: what comes from one neighbour. All counts are since the start of the node.
+/// One direction of a link: the datagrams from one neighbour. All counts are since the start of the node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LinkReport {
     /// The neighbour that sends.
     pub peer: NodeId,
     /// How long the measured datagrams took since the start of the node.
     pub delay: Delays,
-    /// How long those of the last [`recent_us`](Self::recent_us) took.
+    /// How long the measured datagrams of the last [`recent_us`](Self::recent_us) microseconds took.
     pub recent: Delays,
-    /// The length of the recent time, in microseconds.
+    /// The length of the time for [`recent`](Self::recent), in microseconds.
     pub recent_us: u64,
-    /// How many datagrams were not measured, because the last exchange with the neighbour was too long ago to bound their delay.
+    /// How many datagrams were not measured, because the last exchange of datagrams with the neighbour was too long ago
+    /// to bound their delay.
     pub unmeasured: u64,
-    /// What the link damaged.
+    /// The damage to the datagrams from the neighbour.
     pub integrity: Integrity,
-    /// Whether the neighbour has said that it stopped in order, and nothing came from it since.
+    /// Whether the neighbour has said that it stopped in order, and has sent nothing since.
     pub has_stopped: bool,
 }
 
-/// How long datagrams took from the sender's reading of its clock until the receiver had them, its wait in the receiver's
-/// kernel included. No clocks are synchronized, so each time is an *upper bound*: the round trip of the best recent exchange
-/// without the stay at the neighbour, and by how much this datagram was later than the one that completed that exchange.
+/// How long datagrams took: from the instant at which the sender read its clock until the receiver took them, including
+/// their wait in the receiver's kernel. No clocks are synchronized, so each time is only an *upper bound*. It is the
+/// round trip of the best recent exchange, without the time at the neighbour, plus the difference by which this
+/// datagram was later than the one that completed that exchange.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Delays {
     /// How many datagrams were measured.
     pub count: u64,
-    /// How many of them certainly took longer than the link's declared bound: they were later than the fastest recent datagram
-    /// by more than that.
+    /// How many datagrams certainly took longer than the link's declared bound: compared with the fastest recent
+    /// datagram, they were later by more than the bound.
     pub late: u64,
-    /// Half of the bounds are at most this, in microseconds.
+    /// The median of the times, in microseconds. As each time is an upper bound, so is the median.
     pub p50_us: u64,
-    /// 99 of 100 bounds are at most this, in microseconds.
+    /// The 99th percentile of the times, in microseconds: an upper bound, too.
     pub p99_us: u64,
-    /// The greatest bound, in microseconds.
+    /// The greatest of the times, in microseconds: an upper bound, too.
     pub max_us: u64,
 }
 
-/// Damage to what one neighbour sends.
+/// The damage to datagrams from one neighbour.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Integrity {
-    /// How many datagrams from the neighbour's address failed their checksum or their tag, or are no datagrams of this program.
+    /// How many datagrams from the neighbour's address failed their checksum or their tag, or were no datagrams of this
+    /// program.
     pub failures: u64,
-    /// Whether the link counts as faulty at present: in one window so many datagrams were damaged, *and* as many of the
-    /// neighbour's datagrams are missing.
+    /// Whether the link counts as faulty now. A link is faulty if, within one window of time, more than a fixed number
+    /// of datagrams were damaged *and* more than that number of the neighbour's datagrams are missing.
     pub is_faulty: bool,
-    /// How often it began to count as faulty.
+    /// How often the link has begun to count as faulty.
     pub faults: u64,
-    /// In how many windows so many bad datagrams came while the neighbour's own were not missing: another program sent them, it seems,
-    /// under the neighbour's address.
+    /// In how many windows more than that number of damaged datagrams came, although not so many of the neighbour's own
+    /// datagrams were missing. Then another program probably sent the damaged ones, under the neighbour's address.
     pub unmatched: u64,
 }
 
@@ -71,24 +75,25 @@ pub struct LinkSummary {
     pub from: String,
     /// The declared bound of the link, in microseconds.
     pub bound_us: u64,
-    /// How long the measured datagrams took. Each time is an upper bound, which round trips prove.
+    /// How long the measured datagrams took. Each time is an upper bound, which follows from round trips.
     pub delay: Delays,
-    /// The same, of the recent time.
+    /// How long the measured datagrams of the recent time took.
     pub recent: Delays,
     /// The length of the recent time, in microseconds.
     pub recent_us: u64,
-    /// How many datagrams were not measured, because no exchange was recent enough.
+    /// How many datagrams were not measured, because the last exchange with the neighbour was too long ago.
     pub unmeasured: u64,
-    /// How delays compare with the bound: those of the whole run in its summary, the recent ones in the monitor.
+    /// How the delays compare with the declared bound. In the summary of a run these are all delays, in the monitor the
+    /// recent ones.
     pub margin: Margin,
-    /// What was damaged.
+    /// The damage to the datagrams from the neighbour.
     pub integrity: Integrity,
     /// Whether the neighbour has said that it stopped in order.
     pub has_stopped: bool,
 }
 
 impl LinkReport {
-    /// The report, with the name of the neighbour and the declared bound of the link.
+    /// This report with the name of the neighbour and the declared bound of the link added.
     #[must_use]
     pub fn summary(&self, from: &str, bound_us: u64, margin: Margin) -> LinkSummary {
         LinkSummary {
@@ -105,23 +110,24 @@ impl LinkReport {
     }
 }
 
-/// Which part of a link's declared bound its datagrams take.
+/// How the delays of a link's datagrams compare with the link's declared bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Margin {
-    /// Too few datagrams were measured, or they leave enough of the bound.
+    /// The delays leave enough of the bound, or too few datagrams were measured.
     Enough,
-    /// The 99th percentile is more than [`Delays::NEAR_PERCENT`] of the bound. It is an upper bound, so the datagrams may have
-    /// been faster.
+    /// The 99th percentile is more than [`Delays::NEAR_PERCENT`] of the bound. The percentile is an upper bound of the
+    /// delay, so the datagrams may have been faster.
     Near,
     /// More than one in a hundred datagrams certainly took longer than the bound.
     Exceeded,
 }
 
 impl Delays {
-    /// Above how many percent of the declared bound the 99th percentile comes near it.
+    /// The percentage of the declared bound above which the 99th percentile counts as near the bound.
     pub const NEAR_PERCENT: u64 = 80;
-    /// Fewer datagrams than this are no basis for a warning: a single one is late on any busy machine.
+    /// The least number of measured datagrams for a warning. On any busy machine single datagrams are late, so fewer
+    /// prove nothing.
     pub const A_RULE: u64 = 20;
 
     /// Compares the delays with the declared bound of their link.
