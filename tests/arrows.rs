@@ -109,7 +109,8 @@ fn tree_of(package: &str, features: &str, known: &str) -> Vec<String> {
     tree.into_iter().map(|(name, _)| name).collect()
 }
 
-/// The same, with their versions, on one kind of processor.
+/// The names with their versions, on one kind of processor, of all packages from which a package with these features is
+/// built.
 fn versions_of(package: &str, features: &str, known: &str) -> Vec<(String, String)> {
     let output = Command::new(env!("CARGO"))
         .args(["tree", "-p", package, "-e", "normal,build", "--prefix", "none", "--offline"])
@@ -123,7 +124,8 @@ fn versions_of(package: &str, features: &str, known: &str) -> Vec<(String, Strin
     words.filter_map(|mut words| Some((words.next()?.to_owned(), words.next()?.to_owned()))).collect()
 }
 
-/// Each package takes time when a robot's program is built, and must be trusted. One that is built in two versions is listed twice.
+/// Each package that is linked into a robot's program takes time to build, and must be trusted. A package that is built
+/// in two versions is listed twice.
 #[test]
 fn a_robots_program_is_built_from_the_packages_that_are_listed() {
     let packages: BTreeSet<_> = versions_of("imrs-client", "", "imrs-protocol").into_iter().collect();

@@ -1,5 +1,5 @@
-//! Who is kept out, and how it is said: nodes that do not fit each other name the reason on both sides, and another user of the
-//! machine gets no key of a run.
+//! Tests who is kept out, and how this is reported. Nodes that do not fit each other name the reason on both sides.
+//! Another user of the machine gets no key of a run.
 
 use crate::run::Bench;
 use crate::support::program::Program;
@@ -19,24 +19,25 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Byte of a datagram that has the version of the envelope.
+/// The position of the byte in a datagram that has the version of the envelope.
 const VERSION_AT: usize = 2;
-/// Byte of a datagram with keys that says what follows, and its value for packets.
+/// The position of the byte in a datagram with keys that says what kind of datagram it is, and the byte's value for
+/// packets.
 const KIND_AT: usize = 15;
 const TRANSPORT: u8 = 0;
 
-/// Stands between two nodes: each sends to it as if it were the other one.
+/// A process in the middle of two nodes: each node sends to it as if it were the other node.
 pub struct Between {
     own: Ipv4Addr,
     nodes: [u16; 2],
     sockets: Arc<[UdpSocket; 2]>,
-    /// What each node was sent.
+    /// For each node, the datagrams that were sent to it.
     passed: Arc<[Mutex<Vec<Vec<u8>>>; 2]>,
     is_over: Arc<AtomicBool>,
 }
 
 impl Between {
-    /// Passes on what `change` makes of each datagram.
+    /// Starts to pass on datagrams. Each is first changed by `change`.
     pub fn new(own: Ipv4Addr, nodes: [u16; 2], change: fn(&mut [u8])) -> Self {
         let sockets = Arc::new([0, 1].map(|_| UdpSocket::bind((own, 0)).expect("a port")));
         let passed: Arc<[Mutex<Vec<Vec<u8>>>; 2]> = Arc::default();
@@ -58,12 +59,12 @@ impl Between {
         Self { own, nodes, sockets, passed, is_over }
     }
 
-    /// The ports at which each node finds the other.
+    /// The ports at which the nodes find each other: for each node, the port to which the other one sends.
     pub fn ports(&self) -> [u16; 2] {
         self.sockets.each_ref().map(|socket| socket.local_addr().expect("its address").port())
     }
 
-    /// Sends a node something in the name of the other.
+    /// Sends a node a datagram in the name of the other node.
     fn throw(&self, at: usize, bytes: &[u8]) {
         self.sockets[at].send_to(bytes, (self.own, self.nodes[at])).expect("it leaves");
     }
@@ -75,7 +76,7 @@ impl Drop for Between {
     }
 }
 
-/// The cell of [`Bench`] for both nodes, each with its own addresses, and keys for them.
+/// The cell of [`Bench`], with its two nodes at addresses of this test, and keys for both nodes.
 struct Pair {
     bench: Bench,
     own: Ipv4Addr,
@@ -102,7 +103,7 @@ impl Pair {
         assert_eq!(made.code, Some(0), "{made:?}");
     }
 
-    /// Writes the cell with these ports of its nodes, changed by `change`.
+    /// Writes the cell with these ports of its nodes. `change` changes the cell's text.
     fn cell(&self, name: &str, [a, b]: [u16; 2], change: impl Fn(String) -> String) -> String {
         let own = self.own;
         let text = fs::read_to_string(self.bench.cell()).expect("the cell");
@@ -126,7 +127,8 @@ impl Pair {
     }
 }
 
-/// Two nodes that cannot talk. Both must say why. Returns how long after both ran.
+/// Waits until each of two nodes has reported that they cannot communicate, and why. Returns how long that took after
+/// both nodes ran.
 fn refused(mut nodes: [Program; 2], words: &str) -> Duration {
     let running = nodes.each_mut().map(|node| node.line().0);
     let said = nodes.each_mut().map(|node| {
@@ -176,7 +178,7 @@ fn nodes_that_do_not_fit_say_why_on_both_sides_within_a_second() {
     }
 }
 
-/// The test records what both send, starts one of them again, and repeats the records to both.
+/// The test records all datagrams, restarts one of the nodes, and then sends both nodes the old datagrams again.
 #[test]
 fn datagrams_of_an_ended_session_are_dropped_by_name_on_both_sides() {
     let pair = Pair::new(Bench::that_waits(120));
@@ -194,7 +196,8 @@ fn datagrams_of_an_ended_session_are_dropped_by_name_on_both_sides() {
     let old = [0, 1].map(|at| std::mem::take(&mut *between.passed[at].lock().expect("no panic")));
     let mut again = pair.start(&a, "na", &args);
     let _started = again.json();
-    // The task of nb waits, and repeats its arrival. That of na is held back as long as messages of its earlier start may come.
+    // The task of `nb` waits, and repeats its announcement. The task of `na` is held back as long as messages to its
+    // earlier incarnation may still arrive.
     let talk_on = || {
         let passed = || between.passed[0].lock().expect("no panic").iter().filter(is_transport).count();
         let before = passed();
@@ -206,7 +209,7 @@ fn datagrams_of_an_ended_session_are_dropped_by_name_on_both_sides() {
         assert!(!old.is_empty());
         old.iter().for_each(|bytes| between.throw(at, bytes));
     }
-    // What was thrown came before these.
+    // By the time of these datagrams, the nodes have taken the repeated ones.
     talk_on();
     for node in [again, nb] {
         node.interrupt();
@@ -222,17 +225,17 @@ fn datagrams_of_an_ended_session_are_dropped_by_name_on_both_sides() {
     }
 }
 
-/// The user who runs the nodes, and another one. They need no entry in the system's list.
+/// The ids of the user who runs the nodes, and of another user. Neither needs an entry in the system's list of users.
 const OWNER: u32 = 61_001;
 const OTHER: u32 = 61_002;
 
-/// Does something as this user, in a thread of its own.
+/// Runs `work` as this user, in a thread of its own.
 fn as_user<T: Send + 'static>(user: u32, work: impl FnOnce() -> T + Send + 'static) -> T {
     let thread = thread::spawn(move || {
         let (uid, gid) = (Uid::from_raw(user), Gid::from_raw(user));
         set_thread_groups(&[]).expect("no groups");
         set_thread_res_gid(gid, gid, gid).expect("its group");
-        // These rights of root end here, for this thread alone.
+        // From here on this thread, and only this thread, lacks the rights of root.
         set_thread_res_uid(uid, uid, uid).expect("its user");
         work()
     });
@@ -240,7 +243,7 @@ fn as_user<T: Send + 'static>(user: u32, work: impl FnOnce() -> T + Send + 'stat
 }
 
 fn can_read(user: u32, file: PathBuf) -> bool {
-    // Without waiting for a writer, if it is a pipe.
+    // The file may be a pipe, so opening it must not wait for a writer.
     let nonblocking = i32::try_from(rustix::fs::OFlags::NONBLOCK.bits()).expect("a flag");
     as_user(user, move || OpenOptions::new().read(true).custom_flags(nonblocking).open(file).is_ok())
 }
@@ -249,24 +252,24 @@ fn can_connect(user: u32, socket: PathBuf) -> bool {
     as_user(user, move || UnixStream::connect(socket).is_ok())
 }
 
-/// All files in a folder and its folders.
+/// All files in a folder and in its subfolders.
 fn files_in(folder: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry").path());
     entries.flat_map(|path| if path.is_dir() { files_in(&path) } else { vec![path] }).collect()
 }
 
-/// A run of the owner in this folder, by a copy of the command that the owner may execute.
+/// The command for a run of the owner in this folder. It executes a copy of the program that the owner may execute.
 fn run_of_owner(folder: &Path, args: &[&str]) -> Command {
     let plain = imrs(folder, args);
     let mut command = Command::new(folder.join("imrs"));
     command.args(plain.get_args()).envs(plain.get_envs().filter_map(|(name, value)| Some((name, value?))));
-    // A node takes no folder for its sockets that others may enter.
+    // A node refuses a folder for its sockets that other users may enter.
     command.env("XDG_RUNTIME_DIR", folder.join("run"));
     command.current_dir(folder).uid(OWNER).gid(OWNER);
     command
 }
 
-/// Starts a run, and returns its processes: those of the nodes, and of the launcher.
+/// Starts a run. Returns the run, and the ids of its processes: those of the nodes, and that of the launcher.
 fn processes(folder: &Path, cell: &str, args: &[&str]) -> (Program, Vec<u64>) {
     let args = [&["run", cell, "--for", "10m", "--format", "json"], args].concat();
     let mut run = Program::start(run_of_owner(folder, &args));
@@ -283,7 +286,7 @@ fn another_user_of_the_machine_gets_no_key_no_socket_and_no_pipe() {
     }
     let bench = Bench::new();
     let folder = bench.0.path();
-    // Only the modes of the files themselves shall keep others out.
+    // The folder is open to all users, so that only the modes of the files keep others out.
     fs::set_permissions(folder, fs::Permissions::from_mode(0o755)).expect("a mode");
     fs::copy(env!("CARGO_BIN_EXE_imrs"), folder.join("imrs")).expect("a copy");
     fs::create_dir(folder.join("run")).expect("a folder");
@@ -326,13 +329,13 @@ fn another_user_of_the_machine_gets_no_key_no_socket_and_no_pipe() {
         assert!(!open.is_empty());
         for file in open.into_iter().chain([of("mem"), of("environ"), of("maps")]) {
             assert!(!can_read(OTHER, file.clone()), "{file:?}");
-            // Not even other processes of the same user.
+            // Not even another process of the same user can read this file.
             assert!(!can_read(OWNER, file.clone()), "{file:?}");
         }
     }
     run.interrupt();
     run.finish();
-    // The same attempt succeeds where there are no keys, so it does find what can be read.
+    // The same attempt succeeds in a run without keys. So the attempt does find files that can be read.
     let (run, pids) = processes(folder, cell, &["--insecure"]);
     let memory = PathBuf::from(format!("/proc/{}/mem", pids[0]));
     assert!(can_read(OWNER, memory.clone()) && !can_read(OTHER, memory));

@@ -1,4 +1,5 @@
-//! End-to-end tests of what a run says of its links: delays against the declared bound, damage, and datagrams of others.
+//! Tests what a run reports about its links: delays against the declared bound, damage, and datagrams that no node
+//! sent.
 
 use crate::kept_out::Between;
 use crate::support::live::named;
@@ -11,7 +12,7 @@ use std::net::{Ipv4Addr, UdpSocket};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Two nodes that send each other news for ever.
+/// A cell of two nodes that send each other statuses for ever.
 fn cell(dir: &Path, name: &str, own: Ipv4Addr, [a, b]: [u16; 2]) -> String {
     let task = |me: &str, other: &str, mine: &str, theirs: &str| {
         format!(
@@ -66,8 +67,8 @@ fn the_summary_has_the_delays_of_each_link_beside_its_bound() {
     assert!(said.out.contains(" of 50.0 ms"), "{said:?}");
 }
 
-/// Damages a third of the datagrams that pass, by a hash of their number. With every third one, nodes that take turns could
-/// lose the same datagram of each handshake.
+/// Damages a third of the datagrams that pass, chosen by a hash of their number. If every third datagram were damaged,
+/// nodes that take turns could lose the same datagram of each handshake.
 fn damage(bytes: &mut [u8]) {
     static PASSED: AtomicUsize = AtomicUsize::new(0);
     let mut hasher = DefaultHasher::new();
@@ -82,7 +83,7 @@ fn damage(bytes: &mut [u8]) {
 #[test]
 fn a_link_that_damages_datagrams_is_faulty_on_the_screen_in_the_summary_and_in_the_exit_code() {
     if !is_whole() {
-        // Once, on a busy machine, the line did not come within minutes.
+        // On a busy machine the line once did not come within minutes.
         eprintln!("*** SKIPPED: a link damages datagrams with IMRS_WHOLE=1 only ***");
         return;
     }
@@ -104,7 +105,7 @@ fn a_link_that_damages_datagrams_is_faulty_on_the_screen_in_the_summary_and_in_t
     for one in [node, other] {
         one.interrupt();
         let said: Said = one.finish();
-        // Each of both directions loses as much, so the other node may have seen enough, too.
+        // Both directions of the link have the same damage, so the other node may call the link faulty, too.
         let is_faulty = said.out.contains(" is faulty: ");
         assert!(said.code == Some(6) || !is_faulty && said.code == Some(0), "{said:?}");
     }
@@ -120,7 +121,8 @@ fn a_node_that_stops_in_order_tells_its_neighbours() {
     let start =
         |node: &str| Program::start(imrs(dir.path(), &["run", &cell, "--node", node, "--for", "10m"]));
     let (other, mut node) = (start("nb"), start("na"));
-    // A service manager stops a node with this signal.
+    // The test sends SIGTERM below, as a service manager does to stop a node. Before that, the nodes must have
+    // communicated.
     let mut seen = crate::support::live::Seen::by_monitor(dir.path());
     seen.until("the nodes have talked", |seen| {
         let links = named(&seen["nodes"], "na")["links"].as_array().cloned().unwrap_or_default();
@@ -147,7 +149,7 @@ fn garbage_of_strangers_is_an_alarm_and_no_fault_of_a_link() {
     for _ in 0..40 {
         stranger.send_to(&[7; 120], &address).expect("it leaves");
     }
-    // The node has dropped them once a monitor says so.
+    // A monitor shows these counts once the node has dropped the datagrams.
     crate::support::live::Seen::by_monitor(dir.path()).until("garbage is counted", |seen| {
         let drops = named(&seen["nodes"], "na")["link_discards"].as_array().cloned().unwrap_or_default();
         drops.iter().any(|of| of["reason"] == "not_imrs" && number(&of["count"]) > 8)

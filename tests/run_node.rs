@@ -217,7 +217,7 @@ fn nodes_of_two_cell_files_say_so_on_both_sides() {
     }
 }
 
-/// Two nodes with `--insecure` meet, and say what they are; the header of a recording has it, too.
+/// Two nodes with `--insecure` meet, and report that they have no keys. The header of a recording says so, too.
 #[test]
 fn nodes_without_keys_run_only_if_asked_to_and_say_so_everywhere() {
     let bench = Bench::that_waits(8);

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 /// How often the manager wants a ping, in microseconds.
 const WITHIN_US: u64 = 3_000_000;
 
-/// A node whose task serves for ever, at an address of its own.
+/// A cell of one node, at an address of its own, whose task serves for ever.
 fn cell(folder: &Path) -> String {
     let (own, [port]) = own_address();
     let text = format!(
@@ -60,7 +60,7 @@ fn a_service_manager_hears_that_a_node_is_up_that_it_works_and_that_it_stops() {
     let node = program.json()["started"][0]["pid"].as_u64().expect("a process");
     assert!(pings(&manager), "a node that works is reported");
 
-    // A suspended node sends nothing. Pings that were on their way come at once.
+    // A suspended node sends nothing. The pings that were sent before the suspension come at once.
     let node = u32::try_from(node).expect("a process");
     signal(node, Signal::STOP);
     let stopped = Instant::now();

@@ -1,5 +1,5 @@
-//! From the first screen alone, without a key, the root cause of each fault can be named: the place and the reason stand in
-//! one line of it. The test prints the table of `specs/monitor.md`.
+//! Tests that the root cause of each fault can be named from the monitor's first screen, without a key: one line of the
+//! screen has both the place and the reason. The test prints the table of `specs/monitor.md`.
 
 use super::cells::{CIRCLE, CRASH, FLOOD, LATE, NO_SPACE, SLOW, STARVED, WATCHED, two_texts};
 use super::scene::{LONG, Scene};
@@ -24,7 +24,7 @@ use std::time::{Duration, Instant};
 const SIZES: [(u16, u16); 2] = [(80, 24), (120, 40)];
 /// How long a person may look for the cause.
 const GOAL: Duration = Duration::from_secs(30);
-/// How many faults are injected side by side: each has several processes.
+/// The number of faults that are injected at the same time. Each fault has a cell of its own, with several processes.
 const AT_ONCE: usize = 3;
 
 /// A fault.
@@ -32,15 +32,15 @@ struct Fault {
     name: &'static str,
     how: &'static str,
     start: fn() -> Scene,
-    /// Injects it, and returns the instant of that.
+    /// Injects the fault. Returns the instant of the injection.
     inject: fn(&mut Scene) -> Instant,
-    /// The words that name the place and the reason, in one line.
+    /// The words that name the place and the reason. All of them must be in one line.
     words: &'static [&'static str],
 }
 
 impl Fault {
-    /// The line that names it on a screen of each size, and how long that took. Some findings end by themselves, so each
-    /// look is at all sizes.
+    /// For each size of the screen, the line that names the fault, and how long it took to appear. Some findings end by
+    /// themselves, so every look is at all sizes.
     fn named(
         &self,
         watch: &mut Watch,
@@ -82,7 +82,7 @@ impl Watch {
         Self { app: App::new(Theme::ASCII, None), clock, arrivals, _source: source }
     }
 
-    /// Whether the header counts all nodes, and each has sent its state.
+    /// Whether the header of the screen counts all nodes of the cell, and each node has sent its state.
     fn sees_all(&mut self) -> bool {
         let shown = self.look(SIZES[1]);
         let mut counts = shown.split(" nodes").next().unwrap_or_default().rsplit([' ', '/']);
@@ -100,14 +100,16 @@ impl Watch {
     }
 }
 
-/// What a fault looked like: for each size the line with the words, and the time until it was there.
+/// The result for one fault: for each size of the screen, the line that names the fault, and the time until it
+/// appeared.
 struct Row {
     fault: &'static Fault,
     seen: Vec<(String, Duration)>,
 }
 
 impl Row {
-    /// Injects a fault, and looks until it is named at each size. The error is a screen that does not name it.
+    /// Injects a fault, and waits until it is named at each size of the screen. The error is a text with the screens
+    /// that do not name it.
     fn of(fault: &'static Fault) -> Result<Self, String> {
         let mut scene = (fault.start)();
         let mut watch = Watch::of(scene.dir());
@@ -121,13 +123,13 @@ impl Row {
         let patience = Duration::from_secs(bound("IMRS_LOOK", LONG.as_secs()));
         let seen = fault.named(&mut watch, since, patience);
         if fault.words.contains(&"SILENT") {
-            // A stopped process would outlive its launcher.
+            // A process that is still stopped would not end with its launcher.
             now(&scene, Signal::CONT);
         }
         Ok(Self { fault, seen: seen? })
     }
 
-    /// The row of the table: the words as seen on the smaller screen, and how long both took.
+    /// The row of the table: the words on the smaller screen, and the times at both sizes.
     fn line(&self) -> String {
         let took: Vec<_> = self.seen.iter().map(|(_, took)| format!("{:.1}", took.as_secs_f64())).collect();
         let words = self.seen[0].0.split(" ? help").next().unwrap_or_default();
@@ -181,7 +183,7 @@ const FAULTS: [Fault; 14] = [
         how: "two commands, a buffer of one, and a `press` that works",
         start: || Scene::waiting(NO_SPACE),
         inject: |scene| scene.go(),
-        // The command with less time is kept, so the one that came first may be evicted.
+        // The press keeps the command with less time left, so it may evict the command that came first.
         words: &["nb.press.put", "for space"],
     },
     Fault {
@@ -259,7 +261,8 @@ fn now(scene: &Scene, what: Signal) -> Instant {
 #[test]
 fn the_first_screen_names_the_root_cause_of_each_fault() {
     if !crate::support::is_whole() {
-        // On a busy machine a finding about that machine may take the line at the bottom for as long as the fault is recent.
+        // On a busy machine, a finding about the machine may take the line at the bottom of the screen while the fault
+        // is recent.
         eprintln!("*** SKIPPED: fourteen faults are injected with IMRS_WHOLE=1 only ***");
         return;
     }

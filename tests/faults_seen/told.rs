@@ -112,7 +112,7 @@ fn a_round_that_one_member_left_and_the_other_did_not_is_divergent() {
     });
 }
 
-/// All have arrived, but a confirmation is lost, and one member is too late to be released by itself.
+/// All members have arrived, but a CONFIRM is lost, and one member came too late to be released without it.
 pub fn lost_confirmation(tells: &mut Tells, _: u64) {
     for task in &mut tells.snapshot.tasks {
         let remaining = Some(Ticks(40_000_000));

@@ -5,8 +5,9 @@ use super::hosts::Hosts;
 /// The UDP port of each node.
 pub const PORT: u16 = 7_000;
 
-/// A cell of three tasks that meet, and exchange queries and statuses. `b` counts the questions that it gets twice in
-/// turn, and `a` the wrong answers. Each start of `a` asks other questions, so that an answer to an earlier start is wrong.
+/// A cell of three tasks that meet, and exchange queries and statuses. `b` counts the questions that come twice in a
+/// row, and `a` counts wrong answers. Each start of `a` asks other questions, so that an answer to an earlier start
+/// counts as wrong.
 const TALK: &str = "\
 cell hosts;
 tick 10 msec;

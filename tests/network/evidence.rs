@@ -1,5 +1,5 @@
-//! What the recordings of a run show about its messages, apart from the model: each recording is replayed through its
-//! own state machines, and the times of all nodes are compared on the one clock of this machine.
+//! Reads from the recordings of a run what happened to its messages, without the model. Each recording is replayed
+//! through its node's own state machines, and the times of all nodes are compared on the one clock of this machine.
 
 use imrs_launch::cells::{self, Loaded};
 use imrs_launch::checks::ReplaySampler;
@@ -16,7 +16,7 @@ use std::sync::Arc;
 /// A message: its sender, and its id.
 type Key = (TaskId, u8, u32);
 
-/// What recordings show about messages.
+/// What the recordings show about messages.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Messages {
     /// Commands that left their sender.
@@ -33,23 +33,23 @@ pub struct Messages {
     pub stale: u64,
     /// Commands whose sender learned the outcome more than a tick after the time_out.
     pub overdue: u64,
-    /// The most by which an outcome came after the time_out, in microseconds.
+    /// The longest time from the end of a time_out to the outcome, in microseconds.
     pub overdue_us: u64,
 }
 
 /// For each message, when it was first sent, the end of its time_out, and its class; in microseconds of the machine's
-/// clock. A task that has lost its state may use an id again.
+/// clock. There may be several entries for one id, because a task that has lost its state may use the id again.
 type Sent = BTreeMap<Key, BTreeMap<u64, (u64, Class)>>;
 
-/// What recordings show.
+/// The facts that the recordings show.
 pub struct Evidence {
     pub messages: Messages,
-    /// When tasks learned the outcomes of their commands, in microseconds of the machine's clock, and whether each was an
-    /// answer. The times rise.
+    /// When tasks learned the outcomes of their commands, in microseconds of the machine's clock and in ascending
+    /// order, and whether each outcome was an answer.
     outcomes: Vec<(u64, bool)>,
 }
 
-/// Reads recordings. Of a recording with a gap nothing is known, and it adds nothing.
+/// Reads recordings. A recording with a gap is left out, because a part of it is unknown.
 pub fn evidence(cell: &Path, files: &[PathBuf]) -> Evidence {
     let (_, loaded) = cells::open(cell, false).expect("a cell");
     let tasks: Vec<Vec<Happening>> = files.iter().flat_map(|file| happenings(&loaded, file)).collect();
@@ -79,7 +79,8 @@ pub fn evidence(cell: &Path, files: &[PathBuf]) -> Evidence {
 }
 
 impl Evidence {
-    /// How long after this instant a task first learned that a command was answered, or was not, in microseconds.
+    /// How long after this instant a task first learned that a command was answered, or (without `is_answer`) not
+    /// answered; in microseconds.
     pub fn first(&self, is_answer: bool, since: u64) -> Option<u64> {
         let is_so = |(at, answered): &&(u64, bool)| *at >= since && *answered == is_answer;
         self.outcomes.iter().find(is_so).map(|(at, _)| at - since)
@@ -87,7 +88,7 @@ impl Evidence {
 }
 
 impl Messages {
-    /// Counts a delivery at this instant. `taken` has all messages that were delivered before.
+    /// Counts a delivery at this instant. `taken` has all messages that were delivered earlier.
     fn take(&mut self, sent: &Sent, taken: &mut BTreeSet<(Key, u64)>, delivery: &Delivery, at: u64) {
         let key = key(delivery.from.source, delivery.from.id);
         // The recording of the sender may be missing, or cut off.
@@ -102,7 +103,7 @@ impl Messages {
         self.stale += u64::from(first.is_some_and(|(_, (end, _))| at > *end));
     }
 
-    /// Looks when a task learned the outcomes of its commands, one after the other, and whether each was an answer.
+    /// Returns when a task learned the outcomes of its commands, in order, and whether each outcome was an answer.
     fn outcomes(&mut self, task: &[Happening], tick: u64) -> Vec<(u64, bool)> {
         let (mut end, mut outcomes) = (None, Vec::new());
         for happening in task {
@@ -141,13 +142,13 @@ fn delivery(what: &Happened) -> Option<&Delivery> {
     }
 }
 
-/// What happened to each task of a node, according to its recording.
+/// The events of each task of a node, according to the node's recording.
 fn happenings(loaded: &Loaded, file: &Path) -> Vec<Vec<Happening>> {
     let opened = File::open(file).unwrap_or_else(|error| panic!("{}: {error}", file.display()));
     let mut reader = RecordingReader::new(BufReader::new(opened)).expect("a recording");
     let node = reader.header().node.expect("of a node");
     let table = NodeTable::new(Arc::clone(&loaded.table), node);
-    // The replays keep what happened if something watches them.
+    // The replays keep the events only if something watches them.
     let watch: Arc<dyn Watch> = Arc::new(ReplaySampler::new(loaded));
     let replays = replay_scripts(&mut reader, &table, |task| loaded.program(task), Some(&watch));
     let replays = replays.unwrap_or_else(|error| panic!("{}: {error}", file.display()));

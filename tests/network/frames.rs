@@ -12,7 +12,7 @@ pub fn hardware_address(host: usize) -> String {
     format!("02:00:00:00:00:{:02x}", host + 1)
 }
 
-/// Which host a frame is for; `None` if it is for all hosts.
+/// The host for which a frame is; `None` if the frame is for all hosts.
 pub fn receiver(frame: &[u8]) -> Option<usize> {
     let to = frame.get(..=TO)?;
     (to[..TO] == [2, 0, 0, 0, 0]).then(|| usize::from(to[TO]).checked_sub(1)).flatten()

@@ -25,12 +25,12 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// The longest time for which the switch does not look whether its hosts are gone.
+/// The longest time until the switch notices that its hosts are gone.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
-/// The largest frame: a card takes 1500 bytes behind the Ethernet header.
+/// The size of the largest frame: a network card takes 1500 bytes behind the Ethernet header.
 const LARGEST: usize = 1_600;
 
-/// Whether this process may make hosts. If not, this prints what is not tested.
+/// Whether this process may make hosts. If not, this function prints what is not tested.
 pub fn are_possible() -> bool {
     let missing = if !getuid().is_root() {
         Some("the right to make network namespaces (root)")
@@ -59,7 +59,7 @@ struct Shared {
 }
 
 impl Hosts {
-    /// Makes hosts, whose switch draws its faults from this seed.
+    /// Makes hosts at a switch. The switch draws its faults from this seed.
     pub fn new(count: usize, seed: u64) -> Self {
         let (namespaces, cards): (Vec<File>, Vec<File>) = (0..count).map(|host| host_of(host, count)).unzip();
         let (cards, decisions) = (Arc::new(cards), Mutex::new(Decisions::new(seed, count)));
@@ -76,7 +76,7 @@ impl Hosts {
         Ipv4Addr::new(10, 77, 0, u8::try_from(host + 1).expect("a few hosts"))
     }
 
-    /// Does something on a host. Sockets that are opened there, and processes that are started there, stay on that host.
+    /// Runs `work` on a host. Sockets that `work` opens and processes that it starts stay on that host.
     pub fn on<T: Send>(&self, host: usize, work: impl FnOnce() -> T + Send) -> T {
         let namespace = self.namespaces[host].as_fd();
         thread::scope(|scope| {
@@ -92,7 +92,7 @@ impl Hosts {
         self.shared.decisions()
     }
 
-    /// Gives all datagrams these faults from now on.
+    /// Subjects all datagrams to these faults from now on.
     pub fn set(&self, faults: Faults) {
         self.decisions().set(faults);
     }
@@ -116,8 +116,8 @@ impl Hosts {
         self.decisions().heal();
     }
 
-    /// Sends the first datagrams of all hosts once more to their receivers, as an attacker does who recorded them.
-    /// Returns how many.
+    /// Sends the first datagrams of all hosts once more to their receivers, as an attacker does who has recorded them.
+    /// Returns the number of these datagrams.
     pub fn repeat(&self) -> usize {
         let seen = self.decisions().seen.clone();
         for (to, frame) in &seen {
@@ -134,7 +134,7 @@ impl Hosts {
     pub fn link(&self, host: usize, state: &str) {
         self.on(host, || {
             ip(&["link", "set", "eth0", state]);
-            // The kernel forgets them with the card.
+            // While a card is down, the kernel forgets the addresses of the other hosts. So they are entered again.
             if state == "up" {
                 know_others(host, self.namespaces.len());
             }
@@ -157,10 +157,10 @@ impl Shared {
     }
 }
 
-/// Makes a host: its namespace, and the other end of its card.
+/// Makes a host. Returns its namespace and the other end of its network card.
 fn host_of(host: usize, count: usize) -> (File, File) {
     let made = thread::spawn(move || {
-        // The namespace is that of this thread alone.
+        // This call moves only the present thread into the new namespace.
         unshare(CloneFlags::CLONE_NEWNET).expect("a network namespace");
         let card = card().expect("a network card");
         // Without IPv6 the kernel sends nothing by itself.
@@ -176,7 +176,7 @@ fn host_of(host: usize, count: usize) -> (File, File) {
     made.join().expect("a host")
 }
 
-/// Tells a host the hardware addresses of all others, so that no ARP can come late or be lost.
+/// Tells a host the hardware addresses of all other hosts, so that no ARP frame is needed, which could be lost.
 fn know_others(host: usize, count: usize) {
     for other in (0..count).filter(|other| *other != host) {
         let (address, card) = (Hosts::address(other).to_string(), hardware_address(other));
@@ -202,7 +202,7 @@ struct InterfaceRequest {
     unused: [u8; 22],
 }
 
-/// Makes the network card `eth0` in the namespace of this thread, and returns its other end.
+/// Makes the network card `eth0` in the namespace of this thread. Returns the other end of the card.
 fn card() -> io::Result<File> {
     /// A card whose frames are read and written as they are, without a header before them (TAP, NO_PI).
     const FRAMES: u16 = 0x0002 | 0x1000;
@@ -216,8 +216,8 @@ fn card() -> io::Result<File> {
     Ok(card)
 }
 
-/// A frame that is held: when it leaves, its number, its receiver, and its bytes. The number keeps the order of frames
-/// that leave together.
+/// A frame that the switch holds: when the frame leaves, its number, its receiver, and its bytes. The number keeps the
+/// order of frames that leave at the same time.
 type Held = (Instant, u64, usize, Vec<u8>);
 
 /// The thread of the switch.
@@ -252,17 +252,17 @@ impl Switching {
         }
     }
 
-    /// Passes on all frames whose time has come.
+    /// Passes on all frames whose time to leave has come.
     fn let_go(&mut self) {
         let now = Instant::now();
         while self.waiting.peek().is_some_and(|Reverse((at, ..))| *at <= now) {
             let Some(Reverse((.., to, frame))) = self.waiting.pop() else { return };
-            // The card of a host whose link is down takes none.
+            // If the receiver's network card is down, the frame is lost.
             let _ = (&self.cards[to]).write(&frame);
         }
     }
 
-    /// Waits for a frame, or until a held one must leave.
+    /// Waits for the next frame, or until a held frame must leave.
     fn wait(&self) {
         let next = self.waiting.peek().map(|Reverse((at, ..))| at.saturating_duration_since(Instant::now()));
         let most =

@@ -1,5 +1,6 @@
-//! Faults of a network between several hosts: network namespaces at a switch in this process, whose faults replay from a
-//! seed. Real nodes with keys run on them, and `imrs replay --model` judges their recordings.
+//! Tests faults of a network between several hosts. The hosts are network namespaces at a switch in this process, and a
+//! seed determines the switch's faults. Real nodes with keys run on the hosts, and `imrs replay --model` judges their
+//! recordings.
 
 mod bounds;
 mod cells;
@@ -46,7 +47,7 @@ fn datagrams_pass_from_host_to_host_as_the_switch_decides() {
         assert_eq!(room[0], number);
     }
     assert_eq!(hosts.counts().datagrams, 5, "no noise is counted");
-    // In the other direction everything passes.
+    // The other direction of the link is not cut.
     hosts.cut(0, 1);
     a.send_to(b"cut", b.local_addr().expect("its address")).expect("it leaves");
     b.send_to(b"back", a.local_addr().expect("its address")).expect("it leaves");

@@ -1,4 +1,4 @@
-//! A cell that runs on hosts, one node on each, as on separate machines.
+//! Runs a cell with one node on each host, as on separate machines.
 
 use super::evidence::{Evidence, evidence};
 use super::hosts::Hosts;
@@ -16,15 +16,15 @@ pub struct Net {
     nodes: Vec<Up>,
     pub hosts: Hosts,
     pub cell: PathBuf,
-    /// The names of the cell's nodes; each has the host of its number.
+    /// The names of the cell's nodes. The node at position `i` runs on host `i`.
     names: &'static [&'static str],
     /// How often each node was started.
     starts: Vec<usize>,
-    /// The recordings of all starts, with their hosts.
+    /// The recordings of all starts of nodes, each with its host.
     recordings: Vec<(usize, PathBuf)>,
-    /// Why the model cannot follow the recordings, if it is known beforehand.
+    /// Why the model cannot follow the recordings, if that is known beforehand.
     pub not_followed: Option<&'static str>,
-    /// What is done to the recordings of a host before they are judged.
+    /// A change that is made to the recordings of a host before they are judged.
     prepare: Option<(usize, Prepare)>,
     pub dir: TempDir,
 }
@@ -36,13 +36,13 @@ type Prepare = fn(&Path);
 struct Up {
     host: usize,
     program: Option<Program>,
-    /// The process of the node; that of `program` is its launcher.
+    /// The id of the node's own process. The process of `program` is the node's launcher.
     pid: u32,
 }
 
 impl Drop for Up {
     fn drop(&mut self) {
-        // A stopped process does not notice that its launcher is gone.
+        // A stopped process does not notice that its launcher is gone, so it is killed.
         signal(self.pid, Signal::KILL);
     }
 }
@@ -50,13 +50,13 @@ impl Drop for Up {
 /// How a node is started.
 #[derive(Clone, Debug, Default)]
 pub struct How {
-    /// A command that runs the node's command, with its first arguments.
+    /// A command, with its first arguments, that runs the node's command. Empty: the node's command runs directly.
     pub under: Vec<String>,
     /// Further arguments of the node's command.
     pub args: Vec<String>,
-    /// The cell file, if it is not that of the others.
+    /// The cell file, if this node has another one than the other nodes.
     pub cell: Option<PathBuf>,
-    /// The file for the recording, if it is first written elsewhere.
+    /// The file into which the node records, if the recording is moved to its usual place later.
     pub record: Option<PathBuf>,
     pub is_unrecorded: bool,
     /// Whether the node prints text instead of JSON.
@@ -65,17 +65,18 @@ pub struct How {
 
 /// The end of a run.
 pub struct Ended {
-    /// What each start of a node said, with its summary as the last line, in the order of the starts' ends.
+    /// For each start of a node, in the order in which the starts ended: the host, and the output, whose last line is
+    /// the summary.
     pub said: Vec<(usize, Said)>,
     pub evidence: Evidence,
-    /// What `imrs replay --model` said of all recordings together.
+    /// The answer of `imrs replay --model` about all recordings together.
     pub model: Value,
     /// The folder of the run, which is removed with this value.
     _dir: TempDir,
 }
 
 impl Net {
-    /// Makes hosts for the nodes of a cell, and keys for the nodes. Starts nothing.
+    /// Makes hosts for the nodes of a cell, and keys for the nodes. Starts no node.
     pub fn new(text: &str, names: &'static [&'static str], seed: u64) -> Self {
         let dir = runtime_dir();
         let cell = dir.path().join("own.cell");
@@ -96,7 +97,7 @@ impl Net {
         net
     }
 
-    /// The cell of a run of all nodes.
+    /// Makes hosts for a cell, and starts all its nodes.
     pub fn started(text: &str, names: &'static [&'static str], seed: u64) -> Self {
         let mut net = Self::new(text, names, seed);
         net.start_all(&How::default());
@@ -104,7 +105,7 @@ impl Net {
     }
 
     pub fn start_all(&mut self, how: &How) {
-        // `a`, whose commands are counted, begins last.
+        // Node `a` begins last, because its commands are counted.
         let programs: Vec<_> =
             (0..self.names.len()).rev().map(|host| (host, self.launch(host, how))).collect();
         programs.into_iter().for_each(|(host, program)| self.add(host, program));
@@ -120,7 +121,7 @@ impl Net {
         self.cell.to_str().expect("UTF-8")
     }
 
-    /// Starts the node of this host, and reads nothing from it.
+    /// Starts the node of this host, without reading its output.
     pub fn launch(&mut self, host: usize, how: &How) -> Program {
         self.starts[host] += 1;
         let name = self.names[host];
@@ -168,12 +169,13 @@ impl Net {
         let node = self.nodes.remove(at);
         node.program.iter().for_each(|launcher| signal(launcher.pid(), Signal::KILL));
         signal(node.pid, Signal::KILL);
-        // Its threads end one by one, and the last one gives up the port and the lock of its state.
+        // The threads of a killed node end one by one. Only when the last one has ended are the node's port and the
+        // lock of its state free.
         let threads = || std::fs::read_dir(format!("/proc/{}/task", node.pid)).map_or(0, Iterator::count);
         wait_until("the node is gone", || !is_alive(node.pid) && threads() <= 1);
     }
 
-    /// Stops the node on this host in order, and returns what it said.
+    /// Stops the node on this host in order. Returns its output.
     pub fn stop(&mut self, host: usize) -> Said {
         let at = self.nodes.iter().position(|node| node.host == host).expect("it runs");
         let node = self.nodes.remove(at);
@@ -181,7 +183,7 @@ impl Net {
         node.finish()
     }
 
-    /// Waits until a monitor's sample of the nodes is as it should be.
+    /// Waits until `is_so` accepts a monitor's sample of the nodes.
     pub fn until(&self, what: &str, is_so: impl FnMut(&Value) -> bool) -> Value {
         Seen::by_monitor(self.dir.path()).until(what, is_so)
     }
@@ -223,7 +225,7 @@ impl Net {
         }
     }
 
-    /// What `imrs replay --model` says of these recordings.
+    /// The answer of `imrs replay --model` about these recordings.
     fn model(&self, files: &[PathBuf]) -> Value {
         let files: Vec<&str> = files.iter().map(|file| file.to_str().expect("UTF-8")).collect();
         let told = |within: &str| {
@@ -232,21 +234,23 @@ impl Net {
             assert!(matches!(said.code, Some(0 | 1 | 4 | 5)), "{said:?}");
             said.last_json()
         };
-        // The time is also that of random walks, which say nothing about these runs.
+        // This time limit also bounds random walks through the model, which say nothing about these runs.
         let first = told("1s");
         if first["ended_by"].is_null() { first } else { told("60s") }
     }
 }
 
 impl Up {
-    /// Ends the node in the normal way. The process that the test started may be one that runs the launcher.
+    /// Ends the node in the normal way. The process that the test started may be a command that runs the launcher, so
+    /// the signal goes to the launcher itself.
     fn interrupt(&self) {
         let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.pid)).unwrap_or_default();
         let parent = stat.rsplit_once(')').and_then(|(_, rest)| rest.split_whitespace().nth(1)?.parse().ok());
         parent.into_iter().for_each(|launcher| signal(launcher, Signal::INT));
     }
 
-    /// Waits for the end of the node. A second interrupt would make the launcher wait no longer for it.
+    /// Waits for the end of the node. No second interrupt is sent, because it would make the launcher wait no longer
+    /// for the node.
     fn finish(mut self) -> Said {
         self.program.take().expect("a program").finish()
     }

@@ -1,4 +1,5 @@
-//! Ten times as many statuses as a link can carry, beside commands: the commands go on, and the statuses bear the loss.
+//! Tests a link to which ten times as many statuses are sent as it can carry, beside commands. The commands go on, and
+//! only statuses are lost.
 
 use super::bounds::shown;
 use super::cells::placed;
@@ -10,19 +11,19 @@ use serde_json::Value;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// The host whose link is narrow.
+/// The host whose link has a small capacity.
 const SENDER: usize = 0;
-/// What the link carries, in bytes a second.
+/// The capacity of the link, in bytes a second.
 const CAPACITY: f64 = 32_000.0;
-/// The bytes of one picture on the link, at least: 16 packets of 32 bytes.
+/// The least number of bytes of one picture on the link: 16 packets of 32 bytes.
 const PICTURE: f64 = 512.0;
-/// By how much the memory of a node may grow after its first seconds, in kB: the kernel counts whole pages.
+/// The most by which the memory of a node may grow after its first seconds, in kB. The kernel counts whole pages.
 const GROWTH: u64 = 1_024;
 
 /// How many tasks give commands.
 const BOSSES: u8 = 8;
 
-/// A cell of tasks that give commands, beside three cameras that send one picture each `PACE`.
+/// A cell of tasks that give commands, and of three cameras, each of which sends one picture in each period `PACE`.
 const CELL: &str = "\
 cell flood;
 tick 1 msec;
@@ -47,7 +48,7 @@ TAKEN\
 end screen;
 ";
 
-/// The cell, whose cameras send one picture each `pace`.
+/// The cell in which each camera sends one picture in each period `pace`.
 fn cell(pace: &str) -> String {
     let fields: Vec<String> = (1..=48).map(|number| format!("f{number}")).collect();
     let of = |text: fn(u8) -> String| (1..=3).map(text).collect::<String>();
@@ -70,11 +71,11 @@ fn cell(pace: &str) -> String {
     placed(&text.replace("TAKEN", &of(|n| format!("  on receive seen{n}(p) do all := all + p.f1; end;\n"))))
 }
 
-/// What a run showed.
+/// The result of a run.
 #[derive(Debug)]
 struct Load {
     seconds: f64,
-    /// Commands that ended, and those that were answered.
+    /// The number of commands that ended. The next field is the number of those that were answered.
     commands: u64,
     answered: u64,
     pictures: u64,
@@ -86,7 +87,7 @@ struct Load {
 }
 
 impl Load {
-    /// How many times as many bytes were sent as the link carries.
+    /// The sent bytes divided by the bytes that the link can carry.
     fn overload(&self) -> f64 {
         self.pictures as f64 * PICTURE / self.seconds / CAPACITY
     }
@@ -99,7 +100,7 @@ fn memory(pid: u32) -> u64 {
     line.trim().trim_end_matches(" kB").parse().expect("kilobytes")
 }
 
-/// Runs the cell for so long, over a link that carries [`CAPACITY`].
+/// Runs the cell for the time `length`, over a link that carries [`CAPACITY`].
 fn run(pace: &str, length: Duration) -> Load {
     let mut net = Net::new(&cell(pace), &["na", "nb"], 1);
     net.hosts.on(SENDER, || {

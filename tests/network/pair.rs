@@ -18,11 +18,11 @@ use std::time::Duration;
 /// The hosts of the two nodes.
 const PRIMARY: usize = 0;
 const STANDBY: usize = 1;
-/// How long an action takes: longer than a take-over, so that a command whose node is dead would go on acting.
+/// How long an action takes. It is longer than a take-over, so that a command whose node is dead would go on acting.
 const WELD: Duration = Duration::from_millis(2_500);
 /// How long the cell runs after the fault has ended.
 const AFTERWARDS: Duration = Duration::from_millis(400);
-/// Shown as what the time of a trial is.
+/// The words that say what the time of a trial measures.
 const TOOK: &str = "from the fault to the first step of the standby";
 
 /// The scenes of this file.
@@ -73,7 +73,7 @@ fn cell() -> String {
     placed.replace("port N1", "port 7000").replace("port N2", "port 7000")
 }
 
-/// Runs the cell. Once the primary acts, `fault` comes, and lasts until the standby has acted.
+/// Runs the cell. Once the primary acts, `fault` is applied, and it lasts until the standby has acted.
 fn pair(seed: u64, standby: &How, mut fault: impl FnMut(&mut Net), end: impl FnOnce(&mut Net)) -> Trial {
     let mut net = Net::new(&cell(), &["n1", "n2"], seed);
     let dir = net.dir.path().to_owned();
@@ -92,7 +92,7 @@ fn pair(seed: u64, standby: &How, mut fault: impl FnMut(&mut Net), end: impl FnO
     if owner == 1 {
         wait_until("the standby acts", || newer().is_some());
     } else {
-        // On a late machine the standby acts already, and no task takes over from it.
+        // On a late machine the standby may act already. Then no task takes over from it.
         thread::sleep(TAKEOVER);
     }
     thread::sleep(Duration::from_millis(draws.u64(0..400)));

@@ -19,7 +19,7 @@ pub const A: usize = 0;
 pub const B: usize = 1;
 pub const C: usize = 2;
 
-/// A scene, and what its time is.
+/// A scene: one fault, which many trials repeat.
 pub struct Scene {
     pub name: &'static str,
     /// What the time of a trial measures.
@@ -51,14 +51,14 @@ pub const SCENES: [Scene; 13] = [
     scene("the disk of a recording is full", "", disk_full),
 ];
 
-/// The cell, whose tasks talk.
+/// Starts the cell, and waits until its tasks communicate.
 pub fn talking(seed: u64) -> Net {
     let net = Net::started(&talk(), NODES, seed);
     progress(&net);
     net
 }
 
-/// Waits until all three tasks have met several times more. Between two meetings `a` asks `b`, and sends to `c`.
+/// Waits until all three tasks have met several more times. Between two meetings `a` asks `b`, and sends to `c`.
 pub fn progress(net: &Net) {
     let mut first = None;
     net.until("all talk", |sample| {
@@ -67,7 +67,7 @@ pub fn progress(net: &Net) {
     });
 }
 
-/// Waits until `a` has given up a command since this was called.
+/// Waits until `a` has given up a command after the beginning of this call.
 pub fn gives_up(net: &Net) {
     let mut first = None;
     net.until("a command times out", |sample| {
@@ -76,7 +76,7 @@ pub fn gives_up(net: &Net) {
     });
 }
 
-/// Waits until `a` has ended so many commands more, in whatever way.
+/// Waits until `more` further commands of `a` have ended, in whatever way.
 fn asks(net: &Net, more: u64) {
     let mut first = None;
     net.until("commands end", |sample| {
@@ -85,7 +85,7 @@ fn asks(net: &Net, more: u64) {
     });
 }
 
-/// The result of a run, whose time began at this instant.
+/// The result of a run. The time of the trial is counted from the instant `at`.
 pub fn since(net: Net, at: u64) -> Trial {
     let (ended, trial) = result(net);
     Trial { took: ended.evidence.first(true, at), ..trial }
@@ -128,7 +128,7 @@ fn lossy(seed: u64) -> Trial {
 fn doubled(seed: u64) -> Trial {
     let (ended, trial) = faulty(seed, Faults { duplication: 0.5, ..Faults::default() });
     assert!(trial.counts.duplicated > 0, "{trial:?}");
-    // Every copy is dropped where it arrives, but the last ones may come after the end of their node.
+    // Each copy is dropped at its receiver, except the last ones, which may come after the end of their node.
     let copies = dropped(&ended, &["replayed"]);
     assert!((1..=trial.counts.duplicated).contains(&copies), "{copies} copies: {trial:?}");
     trial
@@ -239,7 +239,7 @@ fn frozen(seed: u64) -> Trial {
     since(net, goes_on)
 }
 
-/// The recording of `nb` is on a disk of 16 kB.
+/// A run in which the disk with the recording of `nb` has only 16 kB.
 fn disk_full(seed: u64) -> Trial {
     let mut net = Net::new(&talk(), NODES, seed);
     let disk = net.dir.path().join("disk");
@@ -266,7 +266,7 @@ fn disk_full(seed: u64) -> Trial {
     let summary = said.last_json();
     assert_eq!(summary["nodes"][0]["exit"], "clean", "{summary}");
     let trial = Trial::of(&ended, counts);
-    // The node went on without its recording, which is judged as far as it goes.
+    // The node went on without recording. The recording is judged up to its end.
     assert!(trial.outcome("replies") > trial.messages.executed, "{trial:?}");
     trial
 }

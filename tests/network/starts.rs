@@ -1,4 +1,5 @@
-//! The scenes of nodes that start: again, elsewhere, without their memory, in bad conditions, or not as the others do.
+//! The scenes about the start of a node: a second start, a start elsewhere, without stored state, under bad conditions,
+//! or with another cell than the others.
 
 use super::cells::talk;
 use super::hosts::Hosts;
@@ -51,7 +52,7 @@ fn state_lost(seed: u64) -> Trial {
     std::fs::remove_dir_all(net.dir.path().join("state/imrs/hosts")).expect("its state");
     let again = now();
     net.start(B, &How::default());
-    // The other nodes remember the incarnation that the node has forgotten.
+    // The other nodes still remember the incarnation that the node has forgotten.
     let stored = std::fs::read_to_string(incarnation(&net, "nb")).expect("its state");
     assert_eq!(stored.trim(), "1", "an incarnation that its neighbours have not heard");
     progress(&net);
@@ -68,8 +69,8 @@ fn all_restarted(seed: u64) -> Trial {
     since(net, at)
 }
 
-/// `na` forgets its incarnation, and no neighbour can tell it. So it may say what it has said before, and its neighbours
-/// remember that.
+/// `na` forgets its incarnation, and no neighbour can tell it which it was. So `na` may use the ids of earlier messages
+/// again, which its neighbours remember.
 fn state_lost_alone(seed: u64) -> Trial {
     let mut net = talking(seed);
     net.not_followed = Some("two starts of a node had the same incarnation");
@@ -96,7 +97,7 @@ fn hard_start(seed: u64) -> Trial {
     since(net, healed)
 }
 
-/// `na` looks for `nb` at the address of `nc`, and the other way round.
+/// `na` is told the address of `nc` as that of `nb`, and the other way round.
 fn addresses_exchanged(seed: u64) -> Trial {
     let mut net = Net::new(&talk(), NODES, seed);
     let [b, c] = [B, C].map(|host| Hosts::address(host).to_string());
@@ -126,7 +127,7 @@ fn day_ahead(seed: u64) -> Trial {
     result(net).1
 }
 
-/// As after a restart of the whole machine, whose clock then begins anew.
+/// The clock of `nb` is a day ahead at first, and that of the restarted `nb` is not: as after a restart of its machine.
 fn day_back(seed: u64) -> Trial {
     let mut net = ahead(seed);
     let at = now();
@@ -144,7 +145,7 @@ fn ahead(seed: u64) -> Net {
     net.start(B, &How { under, ..How::default() });
     net.start(A, &How::default());
     progress(&net);
-    // A recording is compared with those of the others on their clock.
+    // The recordings of all nodes are compared on one clock, so the times of this one are set back.
     net.before_judging(B, set_back);
     net
 }
@@ -155,7 +156,7 @@ fn set_back(file: &Path) {
     tape::change(file, file, |records| {
         for record in records {
             if let Record::Script { step: ScriptStep::Begin { at }, .. } = record {
-                // A restarted node has the clock of the others.
+                // Before its restart the node's clock was a day ahead; the restarted node has the clock of the others.
                 if *at > now() {
                     *at -= DAY_US;
                 }
@@ -164,7 +165,8 @@ fn set_back(file: &Path) {
     });
 }
 
-/// `nb` has other declarations than its neighbours. Both say so, and neither takes a message of the other.
+/// The node `nb` has other declarations than its neighbours. Both sides report this, and neither accepts a message of
+/// the other.
 fn other_cell(seed: u64) -> Trial {
     let mut net = Net::new(&talk(), NODES, seed);
     let cell = net.dir.path().join("other.cell");

@@ -1,5 +1,6 @@
-//! A switch between hosts, whose faults are drawn from a seed. What it does with a frame depends only on the seed, the
-//! two hosts, and the number of the frame among those from one to the other, so a run's faults can be repeated.
+//! A switch between hosts. Its faults are drawn from a seed. The decision about a frame depends only on the seed, the
+//! two hosts, and the number of the frame among the frames from one to the other. So the faults of a run can be
+//! repeated.
 
 use super::frames::{damage, is_arp, is_datagram, receiver};
 use std::collections::{BTreeMap, BTreeSet};
@@ -11,12 +12,12 @@ pub struct Faults {
     pub loss: f64,
     pub duplication: f64,
     pub corruption: f64,
-    /// Datagrams that are held for a random part of `delay`, so that later ones overtake them.
+    /// The share of datagrams that are held for a random part of `delay`, so that later ones overtake them.
     pub late: f64,
     pub delay: Duration,
 }
 
-/// What the switch did with datagrams.
+/// How many datagrams the switch passed on or changed, by kind of fault.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Counts {
     pub datagrams: u64,
@@ -24,7 +25,7 @@ pub struct Counts {
     pub duplicated: u64,
     pub corrupted: u64,
     pub late: u64,
-    /// Datagrams between hosts whose link was cut.
+    /// The number of datagrams between hosts whose link was cut.
     pub cut: u64,
 }
 
@@ -45,7 +46,7 @@ pub struct Decisions {
     cuts: BTreeSet<(usize, usize)>,
     /// For each directed pair, how many datagrams it has sent.
     numbers: BTreeMap<(usize, usize), u64>,
-    /// The first datagrams that came, and whom they were for.
+    /// The first datagrams that came, each with its receiver.
     pub seen: Vec<(usize, Vec<u8>)>,
     pub counts: Counts,
 }
@@ -59,7 +60,7 @@ impl Decisions {
         Self { seed, hosts, faults, cuts, numbers, seen, counts }
     }
 
-    /// Gives the datagrams these faults from now on.
+    /// Subjects the datagrams to these faults from now on.
     pub fn set(&mut self, faults: Faults) {
         self.faults = faults;
     }
@@ -129,8 +130,8 @@ impl Decisions {
     }
 }
 
-/// All random numbers for one datagram. All are drawn for each datagram, so that a changed share of one fault leaves the
-/// others as they are.
+/// All random numbers for one datagram. All of them are drawn for each datagram, so that a change of the share of one
+/// fault does not change the other faults.
 struct Draws {
     loss: f64,
     duplication: f64,
@@ -165,10 +166,11 @@ mod tests {
         delay: Duration::from_millis(40),
     };
 
-    /// For each pair, what left the switch for each of its datagrams.
+    /// For each pair of hosts, the frames that leave the switch for each datagram of the pair.
     type All = BTreeMap<(usize, usize), Vec<Vec<Departure>>>;
 
-    /// What leaves the switch for each pair when these pairs send in this order. `noise` comes between the datagrams.
+    /// The frames that leave the switch if these pairs send in this order. The frames of `noise` come between the
+    /// datagrams.
     fn departures(seed: u64, order: impl Iterator<Item = (usize, usize)>, noise: &[&[u8]]) -> (All, Counts) {
         let mut decisions = Decisions::new(seed, 3);
         decisions.set(FAULTS);
@@ -196,7 +198,7 @@ mod tests {
         let answer: &[u8] = &[&[2, 0, 0, 0, 0, 3][..], &[2, 0, 0, 0, 0, 1, 8, 6], &[0; 28]].concat();
         assert_eq!(once, departures(7, in_turns(), &[arp, ipv6, answer]));
         assert_ne!(once, departures(8, in_turns(), &[]));
-        // Each pair has decisions of its own.
+        // The decisions about one pair do not depend on the other pairs.
         let lost = |pair| -> Vec<bool> { once.0[&pair].iter().map(Vec::is_empty).collect() };
         assert_ne!(lost((0, 1)), lost((1, 0)));
         assert_ne!(lost((0, 1)), lost((0, 2)));
@@ -205,7 +207,8 @@ mod tests {
     #[test]
     fn the_shares_are_those_that_were_asked_for() {
         let (all, counts) = departures(1, (0..MANY).map(|_| (0, 1)), &[]);
-        // The draws are the same in each run, so these bounds, of five standard deviations, are no matter of luck.
+        // The seed is fixed, so the draws are the same in each run, and these bounds of five standard deviations do not
+        // fail by chance.
         for (count, of, share) in [
             (counts.lost, MANY, FAULTS.loss),
             (counts.duplicated, MANY - counts.lost, FAULTS.duplication),

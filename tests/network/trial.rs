@@ -1,4 +1,4 @@
-//! The result of one trial, and the file that keeps results, so that an interrupted series goes on.
+//! The result of one trial, and the file that keeps the results, so that an interrupted series can go on.
 
 use super::bounds::shown;
 use super::evidence::Messages;
@@ -18,35 +18,37 @@ use std::sync::{Mutex, PoisonError};
 pub struct Trial {
     pub scene: String,
     pub number: u64,
-    /// What the recordings show.
+    /// The facts about messages that the recordings show.
     pub messages: Messages,
-    /// How commands ended, by the nodes' own counters.
+    /// How many commands ended in each way, according to the nodes' own counters.
     pub outcomes: BTreeMap<String, u64>,
-    /// Commands of nodes that ended in order for which no outcome was counted, without the one that each sender still waited for.
+    /// The number of commands without a counted outcome, of nodes that ended in order. The command for which a sender
+    /// still waited at its end is left out.
     pub without_outcome: u64,
-    /// How long an older epoch still acted after the first step of a newer one, in microseconds; `None` without a couple.
+    /// How long a task of an older epoch still acted after the first step of a newer epoch, in microseconds; `None` in
+    /// a cell without a couple.
     pub two_owners: Option<u64>,
-    /// What the model says of the recordings.
+    /// The verdict of the model on the recordings.
     pub model: String,
-    /// What the switch did.
+    /// The counts of the switch.
     pub counts: Counts,
-    /// The time that the scene is about, in microseconds.
+    /// The time that the scene measures, in microseconds.
     pub took: Option<u64>,
 }
 
-/// Whether a node counts an alarm, or calls a link faulty.
+/// Whether a node counts an alarm about foreign datagrams, or a faulty link.
 fn is_warned(node: &Value) -> bool {
     let is_faulty = |link: &Value| number(&link["integrity"]["faults"]) > 0;
     number(&node["security"]["alarms"]) > 0 || node["links"].as_array().into_iter().flatten().any(is_faulty)
 }
 
 impl Trial {
-    /// What the end of a run shows, whatever its faults were. Asserts what no fault may change.
+    /// The results of a run. Asserts what must hold under any fault.
     pub fn of(ended: &Ended, counts: Counts) -> Self {
         let mut trial = Self { messages: ended.evidence.messages, counts, ..Self::default() };
         for (_, said) in &ended.said {
             let summary = said.last_json();
-            // Damaged, repeated and forged datagrams are an alarm, and the exit code says so.
+            // Damaged, repeated and forged datagrams raise an alarm, and the exit code reports it.
             let warned = summary["nodes"].as_array().is_some_and(|nodes| nodes.iter().any(is_warned));
             assert!(said.is_well() || warned && said.code == Some(6), "{said:?}");
             for check in summary["checks"].as_array().into_iter().flatten() {
@@ -96,7 +98,7 @@ fn judged(told: &Value) -> String {
 pub struct Trials(Mutex<(Vec<Trial>, Option<File>)>);
 
 impl Trials {
-    /// Goes on with the series in this file; without a file begins a new one.
+    /// Opens a series. If the file has results, the series goes on from them.
     pub fn open(file: Option<PathBuf>) -> Self {
         let Some(path) = file else { return Self(Mutex::default()) };
         let text = std::fs::read_to_string(&path).unwrap_or_default();

@@ -57,7 +57,7 @@ fn a_command_that_never_left_its_node_is_no_lost_command() {
     let files = ["na", "nb"].map(|node| dir.path().join(format!("run.{node}.imrs")).display().to_string());
     let how = ["--cell", &cell, "--model", "--format", "json"];
     let told = is_path(&run_in(dir.path(), &[&["replay", &files[0], &files[1]], &how[..]].concat()));
-    // No link lost what never left.
+    // The links count no lost packets, because the commands never left their node.
     let breaches = told["breaches"].as_array().expect("breaches");
     let lost =
         breaches.iter().find(|breach| breach["kind"] == "loss").map_or(0, |breach| number(&breach["times"]));
