@@ -1,9 +1,9 @@
-//! The program at a tool that two work-coupled tasks share. It acts for one of them at a time, whatever happens to the nodes
-//! that started it (`imrs_runtime::actuator`).
+//! The program that moves a tool which two work-coupled tasks share. The program acts for one of the two tasks at a
+//! time, whatever happens to the nodes that started it (`imrs_runtime::actuator`).
 //!
-//! `imrs run CELL --action 'weld=target/debug/examples/actuator FOLDER MILLISECONDS'` makes it act once a millisecond and log
-//! each step. `FOLDER` holds the gate of the tool and the log. A further argument is the epoch if the runtime gives none: 1 for
-//! the primary, 2 for the standby.
+//! `imrs run CELL --action 'weld=target/debug/examples/actuator FOLDER MILLISECONDS'` makes the program act once a
+//! millisecond and log each step. `FOLDER` holds the gate of the tool and the log. A further argument is the epoch if
+//! the runtime gives none: 1 for the primary, 2 for the standby.
 
 use imrs_runtime::actuator::{Deadline, Gate, Orders, Refused, now};
 use std::error::Error;
@@ -30,10 +30,10 @@ impl Log {
     }
 }
 
-/// Acts with the tool in this folder for so long, under this epoch, as long as the gate admits it.
+/// Acts with the tool in this folder for the time `length`, under this epoch, as long as the gate admits the epoch.
 ///
 /// # Errors
-/// The gate refuses it, or a file cannot be used.
+/// The gate refuses the epoch, or a file cannot be used.
 pub fn weld(folder: &Path, epoch: u8, deadline: Deadline, length: Duration) -> Result<(), Box<dyn Error>> {
     let gate = Gate::open(folder.join("tool.gate"))?;
     let mut log = Log::open(&folder.join("tool.log"))?;

@@ -12,22 +12,22 @@ const PERIOD: Duration = Duration::from_millis(34);
 /// The camera stops after ten seconds. By then the robot has picked all its parts.
 const PICTURES: i16 = 300;
 
-/// Sees a part every picture; every other one lies out of reach.
+/// Finds a part in every picture. Every second part lies out of the robot's reach.
 fn camera(ctx: &mut Context) -> Result<(), TaskError> {
     let pose = ctx.port("pose")?;
     for picture in 0..PICTURES {
         let x = if picture % 2 == 0 { 120 + picture } else { 900 };
-        // A record is its fields, one after the other, little endian.
+        // A message is the bytes of its fields, one after the other, little endian.
         let [a, b] = x.to_le_bytes();
         let [c, d] = 40_i16.to_le_bytes();
-        // A status: it has no answer, and one that comes too late is dropped.
+        // The message is a status: it has no answer, and is dropped if it comes too late.
         let _copies = ctx.send(pose, &[a, b, c, d])?;
         ctx.delay(PERIOD)?;
     }
     Ok(())
 }
 
-/// Runs the cell, or a node of it.
+/// Runs the whole cell, or one node of it.
 pub fn main() -> Result<(), ProgramError> {
     let mut program = Program::open(CELL)?.task("camera", camera).action("pick_at", |call| {
         let [x, y] = call.arguments[..] else { return Err("no place".into()) };
@@ -40,7 +40,7 @@ pub fn main() -> Result<(), ProgramError> {
     {
         program = program.node(node);
     }
-    // The run ends when the last task does, or after a minute.
+    // The run ends when all tasks have ended, or after a minute.
     for (task, end) in program.run(Some(Duration::from_secs(60)))? {
         let how = match end {
             TaskEnd::Script(_) => "done",

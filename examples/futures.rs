@@ -22,7 +22,8 @@ use cell::{Hold, ports};
 /// The force that holds a part, in newtons.
 const FIRM: u32 = 40;
 
-/// The last measurement of the sensor's driver, and the task that waits for it. Any source that wakes a waker works like this.
+/// The last measurement of the sensor's driver, and the waker of the task that waits for it. Any source that calls a
+/// waker works like this.
 #[derive(Default)]
 struct Force {
     newtons: AtomicU32,
@@ -30,7 +31,7 @@ struct Force {
 }
 
 impl Force {
-    /// Closes the fingers on a part that resists with so many newtons.
+    /// Closes the fingers on a part that resists with this many newtons.
     fn squeeze(self: &Arc<Self>, part: u32) {
         let force = Arc::clone(self);
         thread::spawn(move || {

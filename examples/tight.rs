@@ -12,7 +12,7 @@ mod cell {
 }
 use cell::{Beat, ports};
 
-/// The right arm stops when no `beat` has come for so long.
+/// The right arm stops if no `beat` has come for this time.
 const SILENCE: Duration = Duration::from_millis(300);
 const WATCH: TimeId = TimeId(1);
 const HEIGHT: i16 = 40;
@@ -47,7 +47,7 @@ fn right(ctx: &mut Context<Beat>) -> Result<(), TaskError> {
         ctx.state = Beat { height: other.height, moving: ctx.state.moving && other.moving };
         Ok(ctx.state)
     })?;
-    // A query may come before this arm knows of its release, so it counts as moving from its arrival on.
+    // A query may come before this arm learns of its release. So the arm counts as moving from its arrival on.
     ctx.state.moving = true;
     match ctx.waitfor(ports::LIFT)? {
         Rendezvous::Released { .. } => ctx.start_timer(WATCH, SILENCE)?,

@@ -16,7 +16,7 @@ pub enum Exit {
     Finding = 1,
     /// Bad input or usage.
     Usage = 2,
-    /// No node to attach to.
+    /// No node was found to attach to.
     Nothing = 3,
     /// The given budget is used up; the answer is partial.
     Budget = 4,

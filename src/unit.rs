@@ -12,7 +12,7 @@ use std::env;
 use std::fmt::Write;
 use std::path::Path;
 
-/// Prints the unit, once the cell, the node, the options and the keys have been checked as for a run.
+/// Prints the unit after the checks of `imrs run`: of the cell, the node, the options and the keys.
 ///
 /// # Errors
 /// [`Failure`].
@@ -26,7 +26,7 @@ pub fn run(args: &UnitArgs, out: &mut Output) -> Result<Exit, Failure> {
     }
     let cell = args.cell.canonicalize().unwrap_or_else(|_| args.cell.clone());
     let folder = cell.parent().unwrap_or(Path::new("/"));
-    // The paths in the options are relative to this folder, because the unit runs there.
+    // The unit runs in this folder, so the paths in the options are relative to it.
     if cell.is_file() {
         env::set_current_dir(folder)
             .map_err(|error| Failure::Usage(format!("{}: {error}", folder.display())))?;
@@ -43,7 +43,7 @@ pub fn run(args: &UnitArgs, out: &mut Output) -> Result<Exit, Failure> {
     Ok(Exit::Well)
 }
 
-/// The options in the words of a command line, checked as `imrs run` checks them.
+/// Parses the words of a command line as the options of `imrs run`, with the same checks.
 fn checked_options(words: &[String]) -> Result<LaunchArgs, Failure> {
     let parsed = Cli::try_parse_from(std::iter::once("imrs").chain(words.iter().map(String::as_str)));
     let args = match parsed.map(|cli| cli.verb) {
@@ -78,7 +78,7 @@ fn text_of(path: &Path) -> Result<String, Failure> {
     text.ok_or_else(|| Failure::Usage(format!("{}: a unit can only name paths in UTF-8", path.display())))
 }
 
-/// The text of the unit, which executes the command in the folder, as the user.
+/// The text of the unit. The unit executes `command` in the folder, as the user.
 fn unit(about: &str, command: &str, (folder, user): (&str, &str), is_real_time: bool) -> String {
     let limits = if is_real_time { "# For --rt.\nLimitRTPRIO=99\nLimitMEMLOCK=infinity\n" } else { "" };
     format!(
@@ -126,7 +126,8 @@ fn percent(word: &str) -> String {
     word.replace('%', "%%")
 }
 
-/// A word of a command line in a unit: without specifiers and variables, quoted where it must be (`systemd.service(5)`).
+/// A word of a command line, escaped for a unit: `%` and `$` have no special meaning, and the word is quoted if needed
+/// (`systemd.service(5)`).
 fn quoted(word: &str) -> String {
     let mut text = String::new();
     for letter in percent(word).replace('$', "$$").chars() {

@@ -10,22 +10,23 @@ use clap::{Args, ValueEnum};
 use std::io::{self, IsTerminal};
 use std::path::PathBuf;
 
-/// What to measure.
+/// The arguments of the measurements.
 #[derive(Clone, Debug, Args)]
 pub struct BenchArgs {
     /// The suites to measure [default: all]; `--list` names them.
     #[arg(value_name = "SUITE")]
     pub suites: Vec<String>,
-    /// Only cases that have this in their names; rows that need others are not measured. May be given again.
+    /// Measure only cases that have this text in their names; rows that need other cases are left out. May be given
+    /// several times.
     #[arg(long, value_name = "TEXT")]
     pub only: Vec<String>,
-    /// How often each case is measured, in turns with the others of its suite.
+    /// How often each case is measured, in turns with the other cases of its suite.
     #[arg(long, default_value_t = 7, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000))]
     pub rounds: u32,
-    /// A tenth of the work a round, and three rounds: to see that it runs, not to compare.
+    /// Measure with a tenth of the work and in three rounds: to see that everything runs, not to compare.
     #[arg(long)]
     pub quick: bool,
-    /// Name the suites and their cases, and measure nothing.
+    /// List the suites and their cases, and measure nothing.
     #[arg(long)]
     pub list: bool,
     /// The form of the answer.

@@ -32,7 +32,7 @@
 //! /// The program of the task `camera`: tells the robot where a part lies, in millimetres.
 //! fn camera(ctx: &mut Context) -> Result<(), TaskError> {
 //!     let part = ctx.port("part")?;
-//!     // A record is its fields, one after the other, little endian.
+//!     // A message is the bytes of its fields, one after the other, little endian.
 //!     let heard = ctx.send(part, &120_i16.to_le_bytes())?;
 //!     assert!(heard.reply().is_some(), "the robot answers");
 //!     Ok(())

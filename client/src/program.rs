@@ -260,7 +260,7 @@ impl Program {
             let left = next.map_or(LOOK_EVERY, |next| next.saturating_duration_since(Instant::now()));
             std::thread::sleep(left.min(LOOK_EVERY));
         }
-        // The nodes of one program stop together; a node that runs on its own tells the others.
+        // The nodes of one program stop together. A node that runs on its own tells its neighbours that it stops.
         let stop = if self.node.is_some() { Runtime::leave } else { Runtime::stop };
         Ok(running.into_iter().flat_map(|node| stop(node.runtime, PATIENCE)).collect())
     }

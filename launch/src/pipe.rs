@@ -187,7 +187,7 @@ pub struct Figures {
     pub cut_off: u64,
     /// How long datagrams took on the node's links, and how many were damaged.
     pub links: Vec<LinkReport>,
-    /// The neighbours that it refuses, because their cells, keys or versions differ.
+    /// The neighbours whose datagrams the node refuses, because their cells, keys or versions differ.
     pub refusals: Vec<RefusalFigures>,
     /// How many events were not reported: they came too fast, or the launcher did not read its pipe fast enough.
     pub untold: u64,

@@ -48,8 +48,8 @@ pub struct ReplayAnswer {
     guessed: u64,
     /// How many times were not rounded down to their own tick, but up or further down.
     rounded: u64,
-    /// How many different kinds of step the scripts made. Then the lines of those kinds that the random paths through
-    /// the state space of `imrs verify` did not contain.
+    /// How many different kinds of step the scripts made. The next field has the lines of those kinds that random paths
+    /// through the state space of `imrs verify` did not contain.
     kinds: usize,
     kinds_not_met: Vec<String>,
     breaches: Vec<Breach>,

@@ -6,16 +6,16 @@ use imrs_launch::{Launcher, Run};
 use sd_notify::NotifyState;
 use std::time::{Duration, Instant};
 
-/// How many pings there are in the time within which the service manager wants one.
+/// How many pings the program sends within the time in which the service manager wants one.
 const PINGS: u32 = 3;
 
 /// The service manager, as a run sees it.
 pub struct Service {
-    /// The time within which the manager wants a ping; none if it wants no pings.
+    /// The time within which the service manager wants a ping; `None` if it wants no pings.
     within: Option<Duration>,
     /// When the last ping was sent.
     pinged: Instant,
-    /// Whether a message to the manager has failed. That is reported once.
+    /// Whether a message to the manager has failed. The first failure is reported, later ones are not.
     has_failed: bool,
 }
 
@@ -35,7 +35,8 @@ impl Service {
         service
     }
 
-    /// Sends a ping, if one is due and no node has been silent for so long that the manager should start the run again.
+    /// Sends a ping if one is due. Sends none if a node has been silent for so long that the manager should restart the
+    /// run.
     pub fn ping(&mut self, silent_for: Duration) {
         let Some(within) = self.within else { return };
         let every = within / PINGS;

@@ -130,7 +130,8 @@ struct Searched<'a> {
     /// How many independent parts the cell has. Each part is searched by itself.
     parts: u32,
     states: u64,
-    /// How many of these stand for more times than can occur; no finding rests on such times.
+    /// How many runs of a search by zones lead to states with more times than can occur. No finding rests on such
+    /// times.
     inexact: u64,
     transitions: u64,
     /// The greatest distance of a state from the start, counted in choices. `whole_depth` is the depth up to which all

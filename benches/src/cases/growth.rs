@@ -237,7 +237,8 @@ fn allocations() -> Sample {
                     })
                 })
             };
-            // The least result of several series counts, because at the beginning other threads may not sleep yet.
+            // Several series are counted, and the least result is kept, because at the beginning other threads may not
+            // sleep yet.
             let mut least = None;
             for _ in 0..5 {
                 let (done, allocated) = series();
@@ -270,7 +271,7 @@ fn idle() -> Sample {
     std::thread::sleep(Duration::from_millis(100));
     let before = cores::Sleeps::now();
     std::thread::sleep(Duration::from_millis(500));
-    // This thread's own sleep counts as one.
+    // The sleep of this thread itself is subtracted.
     let slept = before.since().saturating_sub(1);
     cells::stop(node);
     Sample::counted(slept as f64 * 2.0)

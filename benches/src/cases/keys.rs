@@ -21,8 +21,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 const NODES: [NodeId; 2] = [NodeId(0), NodeId(1)];
-/// How many datagrams wait in the socket when the link begins to refuse them. So few do not count as a flood, after
-/// which the link would pause.
+/// The number of datagrams that wait in the socket when the link begins to refuse them. This number is too small for a
+/// flood, after which the link would pause.
 const WAITING: usize = 15;
 /// How long the link waits for further datagrams.
 const SHORT: Duration = Duration::from_millis(20);
@@ -34,9 +34,9 @@ enum Forged {
     Tag,
     /// The index belongs to no session.
     Index,
-    /// The datagram is the first one of a handshake, closed with another cell's key.
+    /// The datagram is the first one of a handshake, encrypted with another cell's key.
     Hello,
-    /// The datagram is one without keys, and its checksum is wrong.
+    /// The datagram has no keys, and its checksum is wrong.
     Checksum,
 }
 
@@ -140,7 +140,7 @@ fn refused(effort: Effort, forged: Forged, packets: usize) -> Sample {
     let links = two_links(&cells::asking(2, Usage::Send), closing);
     let mut bytes = taken(&links, packets, matches!(forged, Forged::Hello));
     match forged {
-        // The upper half of a session index is the number of a neighbour. It stays, and the lower half is changed.
+        // The upper half of a session index is the number of a neighbour. Only the lower half is changed.
         Forged::Index => bytes[6] ^= 1,
         Forged::Tag | Forged::Hello | Forged::Checksum => *bytes.last_mut().expect("a tag") ^= 1,
     }

@@ -100,7 +100,7 @@ fn one_way_rows(suite: &mut Suite) {
     suite.row(Row::new("P12", stream, floor, Stat::Mean, Goal::AtLeast(0.8)));
     let together = "runtime/UDP one way, 172 together";
     suite.row(Row::new("P12", together, floor, Stat::Mean, Goal::AtLeast(1.1)).was(">= 1.5"));
-    // This row shows what such calls save if nothing but the calls costs time (D129).
+    // This row shows how much such calls save if only the calls cost time (D129).
     let segmented = "floor/UDP one way, 43 a datagram, segmented";
     suite.row(Row::new("P12", segmented, floor, Stat::Mean, Goal::AtLeast(1.0)));
 }

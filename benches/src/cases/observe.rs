@@ -130,10 +130,10 @@ fn changes(suite: &mut Suite) {
     }
 }
 
-/// What is measured of a round trip.
+/// The measured time of a round trip.
 #[derive(Clone, Copy)]
 enum Measured {
-    /// The time that passes; counted is the share of the processor time that serves monitors.
+    /// The time that passes. The count of the sample is the share of the processor time that serves monitors.
     Passed,
     /// The processor time of the thread that asks.
     Own,
@@ -183,11 +183,12 @@ fn asked(ctx: &mut Context, times: u32) -> Result<Sample, TaskError> {
     Ok(Sample::of(nanos, 1))
 }
 
-/// The processor time of the threads of this process so far, in nanoseconds. The harness only waits.
+/// The processor time that threads of this process have used so far, in nanoseconds. The harness only waits, so its
+/// time does not matter.
 struct Work {
-    /// Of the thread that serves monitors.
+    /// The time of the thread that serves monitors.
     observer: u64,
-    /// Of all others but those of the monitors.
+    /// The time of all other threads, without those of the monitors.
     others: u64,
 }
 
@@ -195,7 +196,7 @@ impl Work {
     fn now() -> Self {
         let mut work = Self { observer: 0, others: 0 };
         for thread in std::fs::read_dir("/proc/self/task").expect("a list of threads").flatten() {
-            // A thread that ends meanwhile has no files any more.
+            // A thread that has ended since it was listed has no files any more.
             let read = |name: &str| std::fs::read_to_string(thread.path().join(name)).unwrap_or_default();
             let nanos =
                 read("schedstat").split_whitespace().next().and_then(|nanos| nanos.parse::<u64>().ok());
@@ -208,7 +209,7 @@ impl Work {
         work
     }
 
-    /// How many percent more processor time the node has taken since because of the thread that serves monitors.
+    /// By how many percent the thread that serves monitors has increased the node's processor time since then.
     fn percent_since(&self) -> f64 {
         let now = Self::now();
         let grown = |of: fn(&Self) -> u64| of(&now).saturating_sub(of(self)) as f64;

@@ -10,9 +10,9 @@ use std::collections::BTreeMap;
 /// The datagrams that a node dropped, and that no node of the cell sent in this form.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct SecuritySummary {
-    /// Their number, by the reason of the drop.
+    /// The number of datagrams for each reason of the drop.
     pub events: BTreeMap<String, u64>,
-    /// In how many windows of ten seconds more than eight of them came.
+    /// How many windows of ten seconds had more than eight such datagrams.
     pub alarms: u64,
 }
 
@@ -21,13 +21,13 @@ pub struct SecuritySummary {
 const SECURITY: [&str; 8] =
     ["forged", "replayed", "other_keys", "not_imrs", "unknown_node", "too_short", "length", "checksum"];
 
-/// What the node `to` reported of the link from a neighbour, for the summary of a run.
+/// Converts the report of the node `to` about the link from a neighbour for the summary of a run.
 pub fn link_summary(table: &CellTable, to: NodeId, report: &LinkReport) -> LinkSummary {
     let bound = table.link_bound(to, report.peer).unwrap_or(Ticks::ZERO);
     report.summary(&table.cell().nodes[report.peer.index()].name, bound.0, report.delay.margin(bound))
 }
 
-/// What is wrong with a link to the node `to`, in words for people.
+/// The warnings about a link to the node `to`, in words for people.
 #[must_use]
 pub fn link_warnings(link: &LinkSummary, to: &str) -> Vec<String> {
     let LinkSummary { from, delay, integrity, .. } = link;
@@ -50,7 +50,7 @@ pub fn link_warnings(link: &LinkSummary, to: &str) -> Vec<String> {
     words
 }
 
-/// That a link counts as faulty, in words.
+/// A sentence that says that a link counts as faulty.
 pub fn fault_words(from: &str, to: &str, integrity: &Integrity) -> String {
     format!(
         "link {from} -> {to} is faulty: {} came in, and what {from} sent is missing",
@@ -58,7 +58,7 @@ pub fn fault_words(from: &str, to: &str, integrity: &Integrity) -> String {
     )
 }
 
-/// That datagrams came to a node that no node of the cell sent, in words.
+/// A sentence that says that a node dropped datagrams that no node of the cell sent.
 pub fn security_words(node: &str, security: &SecuritySummary) -> String {
     let events = security.events.iter().map(|(name, n)| format!("{name} {}", grouped(*n)));
     format!(
@@ -68,7 +68,8 @@ pub fn security_words(node: &str, security: &SecuritySummary) -> String {
     )
 }
 
-/// Adds what a node reported of its links in a later incarnation. Percentiles are then those of the slower incarnation.
+/// Adds the reports of a node's next incarnation about its links. Each percentile of the sum is the greater one of both
+/// incarnations.
 pub fn join(sum: &mut Vec<LinkReport>, more: &[LinkReport]) {
     for report in more {
         match sum.iter_mut().find(|known| known.peer == report.peer) {
@@ -117,12 +118,12 @@ pub struct Alarm {
     begun: u64,
     before: u64,
     last: u64,
-    /// How often it was raised.
+    /// How often the alarm was raised.
     pub raised: u64,
 }
 
 impl Alarm {
-    /// Takes the counters of a node at an instant. Returns whether this raises the alarm.
+    /// Takes the counters of a node at an instant. Returns whether they raise the alarm.
     pub fn take(&mut self, at: u64, link_discards: &BTreeMap<String, u64>) -> bool {
         let now = SecuritySummary::new(link_discards, 0).total();
         // The counters of another incarnation begin at zero.

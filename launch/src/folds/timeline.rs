@@ -216,7 +216,8 @@ impl<'a> Timeline<'a> {
         }
     }
 
-    /// Adds a line each time that a link begins to count as faulty, and for each alarm about datagrams of others.
+    /// Adds a line each time that a link begins to count as faulty, and each time that an alarm about foreign datagrams
+    /// is raised.
     fn links(&mut self, at: u64, node: NodeId, figures: &Figures) {
         for report in figures.links.iter().filter(|report| report.integrity.faults > 0) {
             let told = self.faults.insert((node, report.peer), report.integrity.faults);

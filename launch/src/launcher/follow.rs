@@ -136,7 +136,8 @@ impl Launcher<'_> {
             Message::Said(node, word) => {
                 self.heard.insert(node, Instant::now());
                 match &word {
-                    // The node was restarted: all other nodes get its address, and it gets the addresses of all nodes.
+                    // The node was restarted: all other nodes get its new address, and the node gets the addresses of
+                    // all nodes.
                     Word::Bound { address: Some(address), observe } => {
                         self.book.insert(self.name(node), *address);
                         let book = Order::Book(self.book.clone());

@@ -40,7 +40,8 @@ use way::{Way, socket};
 const TELL_EVERY: Duration = Duration::from_millis(20);
 /// How often the node reports its counters. The counters of a killed node are at most this old.
 const COUNT_EVERY: Duration = Duration::from_millis(200);
-/// How often a node greets a neighbour that does not answer. It does so with each report of the counters, for two seconds.
+/// How many times a node greets a neighbour that does not answer: once with each report of the counters, so for two
+/// seconds.
 const GREETINGS: u32 = 10;
 /// How long the tasks may take to end when the node stops.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -299,7 +300,8 @@ impl Process {
         drop(self.runtime.take().map(|runtime| runtime.stop(PATIENCE)));
     }
 
-    /// Stops the tasks, tells the neighbours if they go on, reports all remaining events, and ends the recording.
+    /// Stops the tasks, tells the neighbours that the node stops if they go on, reports all remaining events, and ends
+    /// the recording.
     fn end(mut self) -> Result<(), NodeError> {
         // The events have already reported how the scripts ended, so the returned values are not needed.
         let stop = if self.is_alone { Runtime::leave } else { Runtime::stop };
