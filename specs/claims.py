@@ -81,7 +81,7 @@ def charts(name, mine):
         seen.add(v["rule"])
         what = "tasks" if name in MESSAGES else "members"
         about = "" if v["about"] == mine[0]["about"] else f" {v['about'][0].upper()}{v['about'][1:]}."
-        title = f"The rule `{v['rule']}` fails with {v['parties']} {what}. The chart shows a shortest such run, of {found['length']} steps.{about}"
+        title = f"Under the rule `{v['rule']}` this claim fails with {v['parties']} {what}. The chart shows a shortest run that breaks it, of {found['length']} steps.{about}"
         shown.append(f"{title}\n\n```text\n{found['chart'].rstrip()}\n```")
     return shown
 
