@@ -18,8 +18,8 @@ const PREEMPTIONS: usize = 3;
 /// The most preemptions in a large scene: one preemption more would take 15,000 to 225,000 executions instead of at most a
 /// tenth of that.
 const PREEMPTIONS_IF_LARGE: usize = 2;
-/// The time limit of an exploration. One that takes longer fails, because it proves nothing. Each exploration needs
-/// only seconds; a busy machine may need the rest.
+/// The time limit of an exploration. An exploration that takes longer proves nothing, so it fails. An exploration needs
+/// only seconds; the limit is longer because the machine may be busy.
 const CAP: Duration = Duration::from_secs(600);
 
 /// How often each outcome was seen.

@@ -69,7 +69,8 @@ impl Counts {
         self.counts.iter().sum()
     }
 
-    /// A time that so many percent of the times do not exceed, in microseconds; zero if none was counted.
+    /// The least time that at least `percent` percent of the times do not exceed, in microseconds; zero if none was
+    /// counted.
     pub fn percentile(&self, percent: u64) -> u64 {
         let wanted = (self.total() * percent).div_ceil(100).max(1);
         let mut sum = 0;

@@ -67,7 +67,7 @@ fn allocations(nodes: Vec<Runtime>, counted: &Receiver<Allocated>) -> Allocated 
     counted.try_recv().expect("it was counted")
 }
 
-/// One round of messages: `a` asks `b`, all three tasks meet, and `a` sends news to the other two.
+/// One round of messages: `a` asks `b`, all three tasks meet, and `a` sends a status to the other two.
 fn round(ctx: &mut Context, number: u32, messages: &mut Vec<Delivery>) -> Result<(), TaskError> {
     let (ask, lift, news) = (PortId(0), PortId(1), PortId(2));
     if ctx.id() == A {

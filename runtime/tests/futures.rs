@@ -389,7 +389,7 @@ fn stopping_ends_every_wait_and_drops_who_waits_for_something_else() {
     told.recv_timeout(LONG).expect("what never ends is dropped");
 }
 
-/// The program of a task of [`busy`]: it meets `rounds` times; between meetings `a` sends news and asks, and the others answer.
+/// The program of a task of [`busy`]: between `rounds` meetings `a` sends a status and asks, and the others answer.
 async fn meets_and_asks(mut ctx: AsyncContext, rounds: u8) -> Result<(), TaskError> {
     let (lift, news) = (ctx.port("lift")?, ctx.port("news")?);
     for round in 0..rounds {

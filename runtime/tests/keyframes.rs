@@ -62,7 +62,7 @@ impl Log for TapeOf {
     }
 }
 
-/// A program that meets other tasks, sends news, asks and answers.
+/// A program that meets other tasks, sends a status, asks and answers.
 fn program(ctx: &mut Context) -> Result<(), TaskError> {
     let (lift, news) = (ctx.port("lift")?, ctx.port("news")?);
     for round in 0..15_u8 {
@@ -73,7 +73,7 @@ fn program(ctx: &mut Context) -> Result<(), TaskError> {
             let _outcome = ctx.send(ask, &[round])?;
         } else {
             while let Some(message) = ctx.receive(None, Some(Duration::from_millis(5)))? {
-                // A late reply is refused, and a reply to news is a fault. The recording must contain both results.
+                // A late reply is refused, and a reply to a status is a fault. The recording must contain both results.
                 let _fault = ctx.reply(&message.from, b"yes");
             }
         }

@@ -1,5 +1,5 @@
-//! The time for which a node is stopped counts as waiting time: commands and news that expired meanwhile reach no task
-//! (D20, D50).
+//! The time for which a node is stopped counts as waiting time: commands and statuses that expired meanwhile reach no
+//! task (D20, D50).
 
 use crate::common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, network, report, table};
 use imrs_protocol::{

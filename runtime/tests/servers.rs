@@ -163,7 +163,7 @@ fn what_came_for_a_dropped_wait_is_received_after_the_answer() {
             ctx.tell(go, &())?;
             let mut wait = Box::pin(ctx.receive(Some(news), None));
             assert!(poll_fn(|poller| Poll::Ready(wait.as_mut().poll(poller))).await.is_pending());
-            // The news come while no thread polls the wait.
+            // The status comes while no thread polls the future that waits for it.
             for _ in 0..10 {
                 give_way().await;
             }

@@ -104,8 +104,8 @@ fn stand_still() {
     assert!(Command::new("sh").args(["-c", &script]).status().expect("a shell").success());
 }
 
-/// The program of `a`: it sends commands that are answered at once, each with a time_out; then news that no task takes in
-/// time.
+/// The program of `a`: it sends commands that are answered at once, each with a time_out. Then it sends statuses that
+/// no task takes in time.
 fn a(ctx: &mut Context, answered: &std::sync::mpsc::Sender<()>) -> Result<(), TaskError> {
     let (ask, news) = (ctx.port("ask")?, ctx.port("news")?);
     for _ in 0..COMMANDS {
@@ -118,7 +118,7 @@ fn a(ctx: &mut Context, answered: &std::sync::mpsc::Sender<()>) -> Result<(), Ta
     Ok(())
 }
 
-/// The program of `b`: it answers the commands. After the stop it must find no expired news.
+/// The program of `b`: it answers the commands. After the stop it must find no expired status.
 fn b(ctx: &mut Context, gate: &Receiver<()>) -> Result<(), TaskError> {
     let ask = ctx.port("ask")?;
     for _ in 0..COMMANDS {

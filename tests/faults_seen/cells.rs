@@ -62,7 +62,7 @@ macro_rules! two_nodes {
     };
 }
 
-/// A camera sends more news than a picker takes.
+/// A camera sends more statuses than a picker takes.
 pub const FLOOD: &str = two_nodes!(
     "task camera on na
   port pose(n: int16)  usage = send  user_list = {picker}  time_out = 10 sec  class = 1  bounded_buffer[2];

@@ -15,8 +15,7 @@ struct Two {
     got: Vec<u8>,
 }
 
-/// The inputs that a thread holds for the second member, and how many further turns (holds of the lock) it
-/// took for them.
+/// The inputs that a thread holds for the second member, and how often it took the lock once more for them.
 #[derive(Default)]
 struct Carried {
     inside: VecDeque<u8>,
@@ -47,9 +46,9 @@ impl Protected for Two {
     }
 }
 
-/// A thread brings an input. Then it takes a further turn, again and again, as long as there is something
-/// that the first member sent to the second. If `goes_on` is false, the bug is planted: the thread takes only
-/// one turn.
+/// A thread brings an input to the first member. Then, as long as there are inputs that the first member sent to the
+/// second, the thread takes the lock again and hands them over. If `goes_on` is false, the bug is planted: the thread
+/// takes the lock only once.
 fn bring(handoff: &Handoff<Two, Option<Plant>>, input: u8, goes_on: bool) -> u32 {
     let mut carried = Carried::default();
     handoff.deliver(input, &mut carried);
@@ -60,8 +59,8 @@ fn bring(handoff: &Handoff<Two, Option<Plant>>, input: u8, goes_on: bool) -> u32
     carried.turns
 }
 
-/// Two threads bring an input each. The second member gets all that the first one sends; what belongs to one
-/// input comes in its order. Returns how many further turns each thread took.
+/// Two threads bring an input each. The second member gets all that the first one sends, and the parts that belong to
+/// one input in their order. Returns how often each thread took the lock once more.
 fn two_members(plant: Option<Plant>, goes_on: bool) -> [u32; 2] {
     let handoff = Arc::new(Handoff::planted(Two::default(), None, plant));
     let theirs = Arc::clone(&handoff);

@@ -22,8 +22,8 @@ const STOP_WITHIN: Duration = Duration::from_millis(250);
 /// After how many microseconds a lease is checked again, at least and at most. Between these limits, it is checked
 /// after a quarter of its remaining time.
 const RENEW_EVERY: [u64; 2] = [2_000, 100_000];
-/// The time between two checks of the lease, in microseconds, for a task that acts alone: when its partner comes back,
-/// the task gets a lease again.
+/// The time between two checks of the lease, in microseconds, while a task acts without its partner. When the partner
+/// comes back, the task's lease counts again, so it is checked.
 const ALONE_EVERY: u64 = 10_000;
 
 /// Executes a command for each action that has one. Another [`Actions`] carries out the other actions.

@@ -85,8 +85,8 @@ pub fn busy() -> (Arc<CellTable>, Arc<Network>) {
     (table, network)
 }
 
-/// The program of a task of [`busy`]: it meets the other tasks `rounds` times. Between two meetings `a` sends news and
-/// asks, and the other tasks answer.
+/// The program of a task of [`busy`]: it meets the other tasks `rounds` times. Between two meetings `a` sends a status
+/// and asks, and the other tasks answer.
 pub fn meets_and_asks(ctx: &mut Context, rounds: u8) -> Result<(), TaskError> {
     let (lift, news) = (ctx.port("lift")?, ctx.port("news")?);
     for round in 0..rounds {

@@ -26,8 +26,9 @@ const MEET_EVERY: u32 = 8;
 /// How many cycles a driver makes at least, however long the machine takes.
 const LEAST: u32 = 25 * MEET_EVERY;
 
-/// The cell: each driver sends commands to the servant of the next node and news to both other drivers. `a` asks two tasks at
-/// once, `b` asks a task that never answers, `c` sends messages that expire unread, and all three drivers meet.
+/// The cell: each driver sends commands to the servant of the next node and statuses to both other drivers. `a` asks
+/// two tasks at once, `b` asks a task that never answers, `c` sends messages that expire unread, and all three drivers
+/// meet.
 fn soaked() -> Arc<CellTable> {
     let [d, e, f] = SERVANTS;
     let mut cell = cell(&[0, 1, 2, 0, 1, 2], Ticks(1_000));

@@ -120,8 +120,8 @@ fn what_is_said_together_leaves_in_one_call_the_most_urgent_of_each_datagram_fir
         return;
     }
     a.set_address(B, Some(b.local_address())).unwrap();
-    // The poll ends with the event of the new address here. Otherwise the receiving thread might get this event at any
-    // later time, and send waiting packets just then.
+    // This poll takes the event that the neighbour's address is known. Otherwise the receiving thread could take the
+    // event at any later time, and send waiting packets just then.
     assert_eq!(a.poll(&Memory::default(), None), PollEnd::Ready);
     let node = Runtime::builder(cell("udp"), A).incarnation(Incarnation(1), false).link(a.clone());
     let node = node.task("x", |ctx| {

@@ -27,7 +27,7 @@ impl RunState {
         left.into_iter().flat_map(move |left| {
             let longest = self.longest_held(node);
             let of_task = move |task| {
-                // The last script begins so long after this one.
+                // How long after this script the last script begins.
                 let before_last = longest - self.held(task);
                 (left > before_last).then(|| (task, left - before_last))
             };

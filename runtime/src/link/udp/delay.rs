@@ -36,7 +36,7 @@ pub(super) struct LinkDelay {
 pub(super) struct Hop {
     /// The datagram took no longer than this.
     pub(super) longest: Ticks,
-    /// The datagram took at least this long: it was by so much later than the fastest recent datagram.
+    /// The datagram took at least this long, because it was later by this time than the fastest recent datagram.
     pub(super) shortest: Ticks,
     /// Whether an echo of this node's clock proves `longest`. Otherwise `longest` depends on the declared
     /// bound of the link.

@@ -10,8 +10,8 @@ use imrs_wire::obs::{Delays, LinkReport};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// The *recent* time covers at least so many microseconds, and at most twice as many if the counters are read
-/// often.
+/// The least length of the *recent* time, in microseconds. If the counters are read often, the recent time is at most
+/// twice as long.
 const RECENT: u64 = 5_000_000;
 /// A datagram is measured if the drift of the clocks since the last exchange may be at most this part of the link's bound.
 const DRIFT_PART: u64 = 8;

@@ -67,7 +67,7 @@ impl Turn<'_> {
             self.change(there.member());
             return true;
         }
-        // The other member's wait is over, and nothing else of it expires. So the expiry that it has
+        // The other member's wait is over, and no other deadline of this member begins. So the expiry that it has
         // published is not later than its next one, and may stay.
         match there.run_by {
             RunBy::AnyThread => effects.inside.told(there),
