@@ -58,7 +58,7 @@ pub struct Cli {
 /// The verbs.
 #[derive(Debug, Subcommand)]
 pub enum Verb {
-    /// Check the protocol's claims, or a cell: search every schedule within stated bounds.
+    /// Check the protocol's claims, or a cell, by exhausting every schedule within stated bounds.
     ///
     /// With a cell file, the scripts of that cell are checked, first without faults, then with the faults that the cell
     /// declares. A finding is a deadlock, a wait that nothing can end, a task that ends badly, or a check that does not

@@ -12,7 +12,7 @@ fn a_neighbour_that_starts_again_ends_its_earlier_session_and_no_old_one_comes_b
     acquainted(&mut ends, 0);
     let [old, late] = [0, 1].map(|_| ends[0].datagram().unwrap());
     ends[1].take(&old, MS).unwrap();
-    // The first start of the node asks for a session, and ends while the answer is on its way.
+    // The first start of the node asks for a session, and ends while the answer is in flight.
     let hello = ends[0].channel.knock(MS).unwrap();
     let cookie = ends[1].take(&hello, MS).unwrap().unwrap();
     let initiation = ends[0].take(&cookie, MS).unwrap().unwrap();
@@ -115,7 +115,7 @@ fn two_that_ask_at_once_hear_each_other_for_as_long_as_they_run() {
     }
 }
 
-/// The answer of the earlier start was still on its way, or an attacker has held it back.
+/// The answer of the earlier start was still in flight, or an attacker has held it back.
 #[test]
 fn an_answer_of_an_earlier_start_ends_no_later_session_whenever_it_comes() {
     let keys = keys();
