@@ -1,4 +1,4 @@
-//! Expands kept states, the earliest first: so zones that are reached at about the same time are joined before they are expanded.
+//! Expands kept states, in an order that lets zones grow before they are expanded.
 
 use super::runner::{From, Run, Runner};
 use super::still::Walks;
@@ -26,11 +26,12 @@ pub(super) struct Hit {
     pub moves: usize,
 }
 
-/// The most states that are expanded side by side.
-const BATCH: usize = 64;
+/// The most states that are expanded side by side. They do not merge with what the others of them lead to, so more of them keep more
+/// states.
+const BATCH: usize = 16;
 
 /// Batches between two looks at the memory in use.
-const LOOK: u64 = 32;
+const LOOK: u64 = 128;
 
 /// One state in so many is in the sample, for which the invariants of the machines are checked.
 const SAMPLE: u32 = 16;
@@ -116,7 +117,7 @@ impl Search {
     }
 
     fn take_in_run(&mut self, parent: Option<u32>, depth: u32, run: Run, way: Way) {
-        let Way { answers, zone, is_exact, since } = way;
+        let Way { answers, zone, is_exact } = way;
         self.inexact += u64::from(!is_exact);
         self.outgrown |= run.outgrown;
         for (shown, moves) in run.hits {
@@ -128,7 +129,7 @@ impl Search {
         if let (Some(control), Some(zone)) = (run.control, zone) {
             self.longest = self.longest.max(control.len());
             let core = core(&self.runners[0], &control);
-            to = self.store.insert(control, core, Origin { parent, answers, zone }, (depth, since));
+            to = self.store.insert(control, core, Origin { parent, answers, zone }, depth);
         }
         // A run in which only time has passed leads back to its own state.
         let leads = run.gets_on || !to.is_empty();
@@ -142,11 +143,9 @@ impl Runner {
     /// Runs from a kept state, or from the start, in all ways that its times allow.
     fn expand(&mut self, store: &Store, at: Option<u32>) -> Vec<(Run, Way)> {
         let mut runs = Vec::new();
-        let (zone, from, before) = match at.map(|at| &store.states[at as usize]) {
-            Some(state) => {
-                (state.zone.clone(), From::Kept(&store.controls[state.control as usize]), state.since)
-            }
-            None => (Some(Dbm::zero()), From::Start, 0),
+        let (zone, from) = match at.map(|at| &store.states[at as usize]) {
+            Some(state) => (state.zone.clone(), From::Kept(&store.controls[state.control as usize])),
+            None => (Some(Dbm::zero()), From::Start),
         };
         let Some(zone) = zone else { return runs };
         self.begin_state();
@@ -155,10 +154,8 @@ impl Runner {
             |forks| self.run(forks, from, is_sampled(at)),
             |run: Run, cut: &Cut| {
                 let zone = run.control.is_some().then(|| cut.state());
-                let passes = run.silent_until.map_or(run.now, |until| cut.least(until));
-                let since = before.saturating_add(passes.unsigned_abs());
                 let answers = cut.answers().into();
-                runs.push((run, Way { answers, zone, is_exact: cut.is_exact(), since }));
+                runs.push((run, Way { answers, zone, is_exact: cut.is_exact() }));
             },
         );
         runs
@@ -171,8 +168,6 @@ struct Way {
     /// The times of the state at the run's end.
     zone: Option<Dbm>,
     is_exact: bool,
-    /// The least time since the start at which it ends, as far as is known.
-    since: u64,
 }
 
 /// Whether the invariants of the state machines are checked in the runs from a state.

@@ -22,9 +22,12 @@ pub struct State {
     heir: Option<u32>,
     pub origins: Vec<Origin>,
     pub depth: u32,
-    /// The least time since the start at which it is reached, as far as is known.
-    pub since: u64,
 }
+
+/// When a state is expanded: first those with the most remaining faults, because they cover states with fewer. Among these,
+/// first those whose control was reached first: a control that is reached again is thus expanded before the controls behind it, which
+/// are then reached with larger zones. The last field is the number of the state.
+type Turn = Reverse<(Reverse<u32>, u32, u32)>;
 
 /// A zone of a control.
 struct Known {
@@ -45,8 +48,8 @@ pub struct Store {
     numbers: HashMap<Box<[u8]>, u32>,
     /// For each control without its remaining faults, the known zones.
     known: HashMap<Box<[u8]>, Vec<Known>>,
-    /// The states that are still to be expanded, the earliest first, and some whose times others have.
-    open: BinaryHeap<Reverse<(u64, u32)>>,
+    /// The states that are still to be expanded, and some whose times others have.
+    open: BinaryHeap<Turn>,
 }
 
 impl Store {
@@ -65,7 +68,7 @@ impl Store {
         control: Box<[u8]>,
         (left, core): (Left, Box<[u8]>),
         origin: Origin,
-        (depth, since): (u32, u64),
+        depth: u32,
     ) -> Vec<u32> {
         let known = self.known.entry(core).or_default();
         if let Some(covering) = covering(known, left, &origin.zone) {
@@ -77,7 +80,7 @@ impl Store {
             self.controls.push(control.clone());
             next
         });
-        let (mut zone, mut since, mut origins) = (origin.zone.clone(), since, vec![origin]);
+        let (mut zone, mut origins) = (origin.zone.clone(), vec![origin]);
         let states = &mut self.states;
         // It takes the place of the states whose times it has.
         known.retain(|old| {
@@ -95,32 +98,31 @@ impl Store {
             known.swap_remove(at);
             let state = &mut states[state as usize];
             state.pass_to(number);
-            since = since.min(state.since);
             origins.append(&mut state.origins);
             zone = merged;
         }
         known.push(Known { left, zone: zone.clone(), state: Some(number), states: vec![number] });
-        states.push(State { control, zone: Some(zone), heir: None, origins, depth, since });
-        self.open.push(Reverse((since, number)));
+        states.push(State { control, zone: Some(zone), heir: None, origins, depth });
+        self.open.push(Reverse((Reverse(left.total()), control, number)));
         vec![number]
     }
 
-    /// The next states to be expanded, at most so many, all reached at the same least time. From then on no other one merges with
-    /// them.
+    /// The next states to be expanded, at most so many, all with as many remaining faults. From then on no other state that is still to
+    /// be expanded merges with them.
     pub fn next(&mut self, most: usize, core: impl Fn(&[u8]) -> Box<[u8]>) -> Vec<u32> {
         let mut next = Vec::new();
         while next.len() < most
-            && let Some(&Reverse((since, number))) = self.open.peek()
+            && let Some(&Reverse((Reverse(left), _, number))) = self.open.peek()
         {
             let state = &self.states[number as usize];
-            if state.zone.is_some() && next.first().is_some_and(|&(first, _)| first != since) {
+            if state.zone.is_some() && next.first().is_some_and(|&(first, _)| first != left) {
                 break;
             }
             self.open.pop();
             if state.zone.is_none() {
                 continue;
             }
-            next.push((since, number));
+            next.push((left, number));
             let known = self.known.get_mut(&core(&self.controls[state.control as usize]));
             if let Some(known) = known
                 && let Some(at) = known.iter().position(|known| known.state == Some(number))
@@ -150,7 +152,7 @@ impl Store {
 
     /// The least depth of a state that is still to be expanded.
     pub fn least_left(&self) -> Option<u32> {
-        let left = self.open.iter().map(|&Reverse((_, number))| &self.states[number as usize]);
+        let left = self.open.iter().map(|&Reverse((_, _, number))| &self.states[number as usize]);
         left.filter(|state| state.zone.is_some()).map(|state| state.depth).min()
     }
 }
