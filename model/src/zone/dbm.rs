@@ -100,8 +100,11 @@ impl Dbm {
     /// The set of the values of these terms, each a variable and an offset. The first term is subtracted from all terms,
     /// and becomes the variable zero of the result. Variables that are not among the terms are forgotten.
     pub fn project(&self, terms: &[(usize, i64)]) -> Self {
-        let of = |&(i, a): &(usize, i64)| terms.iter().map(move |&(j, b)| plus(self.at(i, j), a - b));
-        Self { len: terms.len(), bounds: terms.iter().flat_map(of).collect() }
+        let mut bounds = Vec::with_capacity(terms.len() * terms.len());
+        for &(i, a) in terms {
+            bounds.extend(terms.iter().map(|&(j, b)| plus(self.at(i, j), a - b)));
+        }
+        Self { len: terms.len(), bounds }
     }
 
     /// Whether all points of this set are also in `other`.
@@ -130,14 +133,19 @@ impl Dbm {
     /// The union of two sets over the same variables, if a matrix can describe it: if it equals the [hull](Self::hull).
     pub fn merged(&self, other: &Self) -> Option<Self> {
         let hull = |i: usize, j: usize| self.at(i, j).max(other.at(i, j));
-        let others: Vec<_> = other.tighter(self).collect();
         // Each point of the hull outside the first set breaks a bound of the first set that is tighter than the hull's.
         // For each such bound, all points of the hull that break it must be in the second set. Among these points, the
         // bound for a pair is the lesser of the hull's bound and the path over the broken bound.
-        let is_outside = |(i, j, mine): (usize, usize, i64)| {
-            others.iter().any(|&(k, l, bound)| plus(plus(hull(k, j), hull(i, l)), -mine - 1) > bound)
+        let is_outside = |(i, j, mine): (usize, usize, i64), (k, l, bound): (usize, usize, i64)| {
+            plus(plus(hull(k, j), hull(i, l)), -mine - 1) > bound
         };
-        if self.tighter(other).any(is_outside) {
+        // Most pairs of sets fail at the first two bounds, before there is a list.
+        let first = self.tighter(other).next().zip(other.tighter(self).next());
+        if first.is_some_and(|(mine, others)| is_outside(mine, others)) {
+            return None;
+        }
+        let others: Vec<_> = other.tighter(self).collect();
+        if self.tighter(other).any(|mine| others.iter().any(|&other| is_outside(mine, other))) {
             return None;
         }
         Some(self.hull(other))

@@ -6,7 +6,7 @@
 use super::dbm::{Dbm, Empty};
 use super::times::{Times, symbol_of};
 use imrs_protocol::Ticks;
-use imrs_protocol::symbolic::{self, START, Symbol, Time, Zone};
+use imrs_protocol::symbolic::{self, Symbol, Time, Zone};
 use std::cell::{RefCell, RefMut};
 use std::rc::Rc;
 
@@ -111,11 +111,6 @@ impl Cut {
     /// The times of the state that was packed last, as a zone of its own.
     pub fn state(&self) -> Dbm {
         self.zone.project(&self.times.terms())
-    }
-
-    /// The least value of a variable.
-    pub fn least(&self, variable: u8) -> i64 {
-        self.zone.bound(usize::from(START), variable.into()).map_or(0, |bound| -bound)
     }
 
     /// Whether `one` is at most `other` at all points. Also false if the comparison needs more than two variables.

@@ -272,8 +272,21 @@ pub(super) fn difference(a: u64, b: u64) -> u64 {
     }
 }
 
-/// How often `b` fits into `a`. The function compares multiples of `b` with `a`, so that the quotient is a plain number.
+/// How often `b` fits into `a`. The function compares multiples of `b` with `a`, so that the quotient is a plain number. It doubles the
+/// multiple until this is greater than `a`, and then halves the range between the last two.
 #[cold]
 pub(super) fn quotient(a: u64, b: u64) -> u64 {
-    (1..).find(|times| is_less(a, times * b)).map_or(0, |times| times - 1)
+    let (mut fits, mut above) = (0, 1);
+    while !is_less(a, above * b) {
+        (fits, above) = (above, above * 2);
+    }
+    while above - fits > 1 {
+        let middle = fits.midpoint(above);
+        if is_less(a, middle * b) {
+            above = middle;
+        } else {
+            fits = middle;
+        }
+    }
+    fits
 }

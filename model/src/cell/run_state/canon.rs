@@ -22,6 +22,11 @@ impl Left {
     pub fn covers(self, other: Self) -> bool {
         self.0.iter().zip(other.0).all(|(mine, others)| *mine >= others)
     }
+
+    /// How many faults remain in all budgets together.
+    pub fn total(self) -> u32 {
+        self.0.iter().map(|&left| u32::from(left)).sum()
+    }
 }
 
 /// The number of bytes at the beginning of a packed state that hold [`Left`].

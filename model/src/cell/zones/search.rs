@@ -1,5 +1,4 @@
-//! Expands kept states in the order of their least time since the start. So zones that are reached at about the same
-//! time are joined before they are expanded.
+//! Expands kept states, in an order that lets zones grow before they are expanded.
 
 use super::runner::{From, Run, Runner};
 use super::still::Walks;
@@ -27,11 +26,12 @@ pub(super) struct Hit {
     pub moves: usize,
 }
 
-/// The most states that are expanded side by side.
-const BATCH: usize = 64;
+/// The most states that are expanded side by side. A state of such a batch no longer joins with the states to which the others
+/// lead, so a larger batch leads to more states.
+const BATCH: usize = 16;
 
 /// Batches between two looks at the memory in use.
-const LOOK: u64 = 32;
+const LOOK: u64 = 128;
 
 /// Of this many states one is in the sample. In the runs from a sampled state, the invariants of the state machines are
 /// checked.
@@ -118,7 +118,7 @@ impl Search {
     }
 
     fn take_in_run(&mut self, parent: Option<u32>, depth: u32, run: Run, way: Way) {
-        let Way { answers, zone, is_exact, since } = way;
+        let Way { answers, zone, is_exact } = way;
         self.inexact += u64::from(!is_exact);
         self.outgrown |= run.outgrown;
         for (shown, moves) in run.hits {
@@ -130,7 +130,7 @@ impl Search {
         if let (Some(control), Some(zone)) = (run.control, zone) {
             self.longest = self.longest.max(control.len());
             let core = core(&self.runners[0], &control);
-            to = self.store.insert(control, core, Origin { parent, answers, zone }, (depth, since));
+            to = self.store.insert(control, core, Origin { parent, answers, zone }, depth);
         }
         // If only time has passed, the run has no new state at its end and leads back to its own state. Such a run is
         // not noted.
@@ -145,11 +145,9 @@ impl Runner {
     /// Makes all runs from a kept state, or from the start of the cell: one for each way that the state's times allow.
     fn expand(&mut self, store: &Store, at: Option<u32>) -> Vec<(Run, Way)> {
         let mut runs = Vec::new();
-        let (zone, from, before) = match at.map(|at| &store.states[at as usize]) {
-            Some(state) => {
-                (state.zone.clone(), From::Kept(&store.controls[state.control as usize]), state.since)
-            }
-            None => (Some(Dbm::zero()), From::Start, 0),
+        let (zone, from) = match at.map(|at| &store.states[at as usize]) {
+            Some(state) => (state.zone.clone(), From::Kept(&store.controls[state.control as usize])),
+            None => (Some(Dbm::zero()), From::Start),
         };
         let Some(zone) = zone else { return runs };
         self.begin_state();
@@ -158,10 +156,8 @@ impl Runner {
             |forks| self.run(forks, from, is_sampled(at)),
             |run: Run, cut: &Cut| {
                 let zone = run.control.is_some().then(|| cut.state());
-                let passes = run.silent_until.map_or(run.now, |until| cut.least(until));
-                let since = before.saturating_add(passes.unsigned_abs());
                 let answers = cut.answers().into();
-                runs.push((run, Way { answers, zone, is_exact: cut.is_exact(), since }));
+                runs.push((run, Way { answers, zone, is_exact: cut.is_exact() }));
             },
         );
         runs
@@ -174,8 +170,6 @@ struct Way {
     /// The times of the state at the run's end.
     zone: Option<Dbm>,
     is_exact: bool,
-    /// The least time from the cell's start to the end of the run, as far as it is known.
-    since: u64,
 }
 
 /// Whether the invariants of the state machines are checked in the runs from a state.

@@ -23,9 +23,12 @@ pub struct State {
     heir: Option<u32>,
     pub origins: Vec<Origin>,
     pub depth: u32,
-    /// The least time from the cell's start to this state, as far as it is known.
-    pub since: u64,
 }
+
+/// When a state is expanded, and its number. The states with the most remaining faults come first, because they cover states
+/// with fewer. Among these, the states come first whose control was reached first. If a control is reached again, it is thus
+/// expanded before the controls that follow from it, and these are then reached with larger zones.
+type Turn = Reverse<(Reverse<u32>, u32, u32)>;
 
 /// A zone of a control.
 struct Known {
@@ -46,9 +49,8 @@ pub struct Store {
     numbers: HashMap<Box<[u8]>, u32>,
     /// The known zones for each control without its remaining faults.
     known: HashMap<Box<[u8]>, Vec<Known>>,
-    /// The states that are still to be expanded, the earliest first. Some entries are out of date: another state has
-    /// taken over their times.
-    open: BinaryHeap<Reverse<(u64, u32)>>,
+    /// The states that are still to be expanded. Some entries are out of date: another state has taken over their times.
+    open: BinaryHeap<Turn>,
 }
 
 impl Store {
@@ -67,7 +69,7 @@ impl Store {
         control: Box<[u8]>,
         (left, core): (Left, Box<[u8]>),
         origin: Origin,
-        (depth, since): (u32, u64),
+        depth: u32,
     ) -> Vec<u32> {
         let known = self.known.entry(core).or_default();
         if let Some(covering) = covering(known, left, &origin.zone) {
@@ -79,7 +81,7 @@ impl Store {
             self.controls.push(control.clone());
             next
         });
-        let (mut zone, mut since, mut origins) = (origin.zone.clone(), since, vec![origin]);
+        let (mut zone, mut origins) = (origin.zone.clone(), vec![origin]);
         let states = &mut self.states;
         // The new state replaces the kept states whose times it includes.
         known.retain(|old| {
@@ -97,32 +99,31 @@ impl Store {
             known.swap_remove(at);
             let state = &mut states[state as usize];
             state.pass_to(number);
-            since = since.min(state.since);
             origins.append(&mut state.origins);
             zone = merged;
         }
         known.push(Known { left, zone: zone.clone(), state: Some(number), states: vec![number] });
-        states.push(State { control, zone: Some(zone), heir: None, origins, depth, since });
-        self.open.push(Reverse((since, number)));
+        states.push(State { control, zone: Some(zone), heir: None, origins, depth });
+        self.open.push(Reverse((Reverse(left.total()), control, number)));
         vec![number]
     }
 
-    /// The next states to be expanded: at most `most`, all with the same least time since the start. From then on no
-    /// other state joins with them.
+    /// The next states to be expanded: at most `most`, all with the same number of remaining faults. From then on no other
+    /// state joins with them.
     pub fn next(&mut self, most: usize, core: impl Fn(&[u8]) -> Box<[u8]>) -> Vec<u32> {
         let mut next = Vec::new();
         while next.len() < most
-            && let Some(&Reverse((since, number))) = self.open.peek()
+            && let Some(&Reverse((Reverse(left), _, number))) = self.open.peek()
         {
             let state = &self.states[number as usize];
-            if state.zone.is_some() && next.first().is_some_and(|&(first, _)| first != since) {
+            if state.zone.is_some() && next.first().is_some_and(|&(first, _)| first != left) {
                 break;
             }
             self.open.pop();
             if state.zone.is_none() {
                 continue;
             }
-            next.push((since, number));
+            next.push((left, number));
             let known = self.known.get_mut(&core(&self.controls[state.control as usize]));
             if let Some(known) = known
                 && let Some(at) = known.iter().position(|known| known.state == Some(number))
@@ -154,7 +155,7 @@ impl Store {
 
     /// The least depth of a state that is still to be expanded.
     pub fn least_left(&self) -> Option<u32> {
-        let left = self.open.iter().map(|&Reverse((_, number))| &self.states[number as usize]);
+        let left = self.open.iter().map(|&Reverse((_, _, number))| &self.states[number as usize]);
         left.filter(|state| state.zone.is_some()).map(|state| state.depth).min()
     }
 }

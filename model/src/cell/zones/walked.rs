@@ -16,6 +16,7 @@ use crate::cell::run_state::CellMove;
 use crate::cell::search::timed;
 use crate::cell::unpacked::Unpacked;
 use crate::cell::verdict::Phase;
+use crate::cell::waiting::for_ever;
 use crate::zone::dbm::Dbm;
 use crate::zone::forks::again;
 use std::sync::Arc;
@@ -71,6 +72,11 @@ fn walk(
         }
         moves.clear();
         cell.run_state.moves(&mut moves);
+        // The search does not go on behind a deadlock, which only a crash can end.
+        let goes_on = moves.iter().any(|step| !matches!(step, CellMove::Crash(_) | CellMove::Restart(_)));
+        if !goes_on && for_ever(&cell.run_state, false).is_some_and(|shown| shown.last) {
+            return Ok(());
+        }
         if moves.contains(&CellMove::Pass) {
             agreement.looked_up += 1;
             if !is_kept(search, &cell) {
