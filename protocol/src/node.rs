@@ -64,6 +64,15 @@ pub trait NodeOutbox {
     fn observe(&mut self, at: Option<TaskId>, observation: Observation) {
         let _ = (at, observation);
     }
+    /// In a fused step one task of the node sends this packet to another one, which takes it in the same step. The packet is made only
+    /// for an outbox that looks at it, for example to record the inputs that small steps would have (D207).
+    #[inline(always)]
+    fn within(&mut self, packet: impl FnOnce() -> Packet)
+    where
+        Self: Sized,
+    {
+        let _ = packet;
+    }
 }
 
 /// The parts of a node, for a driver that puts them behind several locks.

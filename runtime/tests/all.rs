@@ -18,6 +18,7 @@ mod observer;
 mod old_packets;
 mod primitives;
 mod ready;
+mod recorded;
 mod recorder;
 mod replay;
 mod scripts;

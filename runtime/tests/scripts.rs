@@ -1,6 +1,8 @@
 //! Tests of tasks that are scripts, on real nodes: with each other, with Rust tasks, and with actions outside of the node.
 
-use crate::common::{A, B, LONG, LONG_TICKS, Tape, ask, cell, network, on, one_node, report, table, until};
+use crate::common::{
+    A, B, LONG, LONG_TICKS, SmallSteps, Tape, ask, cell, network, on, one_node, report, table, until,
+};
 use imrs_protocol::script::{
     Binary, End, Op, Outcomes, Program, ProgramBuilder, ScriptFault, StatementOutcome, Type,
 };
@@ -151,12 +153,13 @@ fn counted(who: impl FnOnce(Builder) -> Builder) -> Vec<Vec<PortView>> {
 }
 
 #[test]
-fn scripts_without_a_watch_or_a_recorder_take_fused_steps_and_count_the_same() {
+fn scripts_without_a_watch_take_fused_steps_and_count_the_same() {
     let fused = counted(|node| node);
     let watched = counted(|node| node.watch(Arc::new(Notes(Mutex::default()))));
     let recorded = counted(|node| node.recorder(Arc::new(Tape::default())));
+    let small = counted(|node| node.recorder(Arc::new(SmallSteps)));
     assert_eq!(fused[1][0].counters.delivered, 100);
-    assert_eq!([&fused, &fused], [&watched, &recorded]);
+    assert_eq!([&fused, &fused, &fused], [&watched, &recorded, &small]);
 }
 
 fn replays(table: &Arc<CellTable>, tape: &Tape, node: NodeId, task: TaskId) -> usize {
