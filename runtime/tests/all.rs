@@ -24,5 +24,6 @@ mod replay;
 mod scripts;
 mod servers;
 mod time;
+mod told;
 mod udp;
 mod watching;

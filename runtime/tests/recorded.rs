@@ -311,6 +311,9 @@ fn compare(
                     replay.step(*recorded);
                     passed += recorded.step.elapsed.0;
                     let input = recorded.step.input;
+                    if let Input::Packet(packet) = input {
+                        assert_eq!(packet.destination, task, "seed {seed}");
+                    }
                     let kind = kind(&plan.table, &input).filter(|_| *is_part);
                     kind.into_iter().for_each(|kind| *counts.entry(kind).or_default() += 1);
                     if let (Some("get"), Some("reply" | "response")) = (kind, before) {

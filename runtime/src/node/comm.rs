@@ -10,8 +10,8 @@ use crate::sync::alarm::{Alarm, Cover};
 use crate::sync::handoff::Rest;
 use imrs_protocol::script::Program;
 use imrs_protocol::{
-    CommTask, Delivery, Event, Input, NodeTable, Observation, Outbox, Packet, PortId, QueueView, Reason,
-    Signal, TaskId, TaskView, Ticks, TimeId,
+    CommTask, Delivery, Event, Input, Instant, NodeTable, Observation, Outbox, Packet, PortId, QueueView,
+    Reason, Signal, TaskId, TaskView, Ticks, TimeId,
 };
 use std::sync::Arc;
 
@@ -228,7 +228,7 @@ impl Comm {
     }
 
     /// Whether the task may take its part at `now` in a fused step that another one begins. `RECORDS`: whether it may be recorded.
-    #[inline]
+    #[inline(always)]
     pub fn takes_part<const RECORDS: bool>(&mut self, now: Micros) -> bool {
         self.is_usual()
             && !(RECORDS && self.is_recorded() && self.has_told_script())
@@ -248,11 +248,10 @@ impl Comm {
     }
 
     fn let_idle_time_pass(&mut self, now: Micros) -> bool {
-        let elapsed = self.elapsed(now);
-        let passes =
-            self.now() < now && self.machine.let_idle_time_pass(&self.table, self.machine.now() + elapsed);
+        let (before, now) = (self.machine.now(), Instant(now.saturating_sub(self.started)));
+        let passes = before < now && self.machine.let_idle_time_pass(&self.table, now);
         if passes && let Some(logged) = &mut self.logged {
-            logged.pass(elapsed);
+            logged.pass(now - before);
         }
         passes
     }

@@ -88,3 +88,41 @@ impl Logged {
         Step { elapsed, input }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::{Arc, Mutex};
+
+    struct Kept(Arc<Mutex<Vec<(u64, bool)>>>);
+
+    impl Log for Kept {
+        fn step(&mut self, step: &Step, _: OutputDigest) -> bool {
+            self.0.lock().unwrap().push((step.elapsed.0, false));
+            false
+        }
+
+        fn part(&mut self, step: &Step, _: OutputDigest) -> bool {
+            self.0.lock().unwrap().push((step.elapsed.0, true));
+            true
+        }
+    }
+
+    #[test]
+    fn time_that_passes_without_a_step_becomes_part_of_the_next_record() {
+        let kept = Arc::<Mutex<Vec<(u64, bool)>>>::default();
+        let mut logged = Logged::new(Box::new(Kept(Arc::clone(&kept))));
+        assert!(!logged.owes_time());
+        logged.pass(Ticks(2));
+        logged.pass(Ticks(3));
+        assert!(logged.owes_time());
+        logged.small(Ticks(4), &Input::Time);
+        assert!(!logged.owes_time());
+        logged.pass(Ticks(1));
+        logged.own(&Request::Done, Some(&Request::Cancel), OutputDigest::START);
+        assert!(!logged.owes_time() && logged.wants_keyframe());
+        logged.small(Ticks(0), &Input::Time);
+        assert!(!logged.wants_keyframe());
+        assert_eq!(*kept.lock().unwrap(), [(9, false), (1, true), (0, true), (0, false)]);
+    }
+}

@@ -23,29 +23,18 @@ impl Turn<'_> {
         effects: &mut Effects,
     ) -> bool {
         if self.records {
-            self.fuse_recorded(requests, signals, effects)
+            self.fuse_by::<true, _>(requests, signals, effects)
         } else {
-            self.fuse_by::<false>(requests, signals, effects)
+            self.fuse_by::<false, _>(requests, signals, effects)
         }
     }
 
-    #[cold]
-    #[inline(never)]
-    fn fuse_recorded(
-        &mut self,
-        requests: (&Request, Option<&Request>),
-        signals: &mut impl FusedSignals,
-        effects: &mut Effects,
-    ) -> bool {
-        self.fuse_by::<true>(requests, signals, effects)
-    }
-
     /// [`fuse`](Self::fuse). `RECORDS`: whether a member of the domain is recorded.
-    #[inline(always)]
-    fn fuse_by<const RECORDS: bool>(
+    #[inline(never)]
+    fn fuse_by<const RECORDS: bool, S: FusedSignals>(
         &mut self,
         (request, then): (&Request, Option<&Request>),
-        signals: &mut impl FusedSignals,
+        signals: &mut S,
         effects: &mut Effects,
     ) -> bool {
         let Self { members, member, table, .. } = self;
@@ -70,11 +59,12 @@ impl Turn<'_> {
         let Ok([own, other]) = self.members.get_disjoint_mut([home.member(), there.member()]) else {
             return false;
         };
-        if !(own.is_usual() && other.takes_part::<RECORDS>(own.now())) {
+        let at = own.now();
+        if !(own.is_usual() && other.takes_part::<RECORDS>(at)) {
             return false;
         }
         let mut out = Fused::<_, RECORDS> {
-            at: own.now(),
+            at,
             task,
             rings: (&mut own.ring, &mut other.ring),
             signals,
