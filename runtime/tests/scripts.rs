@@ -1,8 +1,6 @@
 //! Tests of tasks that are scripts, on real nodes: with each other, with Rust tasks, and with actions outside of the node.
 
-use crate::common::{
-    A, B, LONG, LONG_TICKS, SmallSteps, Tape, ask, cell, network, on, one_node, report, table, until,
-};
+use crate::common::{A, B, LONG, LONG_TICKS, Tape, ask, cell, network, on, one_node, report, table, until};
 use imrs_protocol::script::{
     Binary, End, Op, Outcomes, Program, ProgramBuilder, ScriptFault, StatementOutcome, Type,
 };
@@ -157,7 +155,7 @@ fn scripts_without_a_watch_take_fused_steps_and_count_the_same() {
     let fused = counted(|node| node);
     let watched = counted(|node| node.watch(Arc::new(Notes(Mutex::default()))));
     let recorded = counted(|node| node.recorder(Arc::new(Tape::default())));
-    let small = counted(|node| node.recorder(Arc::new(SmallSteps)));
+    let small = counted(|node| node.recorder(Arc::new(crate::common::SmallSteps)));
     assert_eq!(fused[1][0].counters.delivered, 100);
     assert_eq!([&fused, &fused, &fused], [&watched, &recorded, &small]);
 }

@@ -53,8 +53,8 @@ pub trait Log: Send {
     /// whether the log wants the task's state before the next step, because steps were lost.
     fn step(&mut self, step: &Step, digest: OutputDigest) -> bool;
 
-    /// As [`step`](Self::step), for a step that the task took as its part of a fused step (D207): with the same record, but never right
-    /// after a step for which this log wanted the task's state.
+    /// As [`step`](Self::step), for a step that the task took as its part of a fused step (D207). A task may have two parts in one fused
+    /// step: if the log wants the task's state after the first, it is given the state only after the second.
     fn part(&mut self, step: &Step, digest: OutputDigest) -> bool {
         self.step(step, digest)
     }
