@@ -14,6 +14,7 @@ BUILDS = {
     "imrs": ["build", "--workspace", "--bin", "imrs"],
     "all": ["test", "--workspace", "--test", "all", "--no-run"],
     "--lib": ["test", "-p", "imrs-protocol", "--lib", "--no-run"],
+    "--test": ["test", "-p", "imrs-protocol", "--test", "all", "--no-run"],
 }
 
 
@@ -136,6 +137,12 @@ class Built:
             if differs := re.search(r"(IMRS_SEED=\d+) IMRS_CELLS=1 differs", output):
                 return differs.group(1)
         return None
+
+    def fused(self, number, cpu):
+        """Where the test of random cells sees that a fused step differs from its small steps; None where it does not. Another panic is none."""
+        code, output = self.run(number, "protocol --test", ["fused::a_fused_step_equals_the_small_steps", "--exact"], cpu, "protocol")
+        differs = re.search(r"panicked at (\S*tests/support/fused\.rs:\d+)", output)
+        return differs.group(1) if code == 101 and differs else None
 
     def verdict(self, number, cell, cpu):
         """What is said of a cell; None where the checker does not end, or does not look at all of it."""

@@ -60,10 +60,10 @@ pub trait NodeOutbox {
     fn link(&mut self, next: NodeId, packet: Packet);
     /// Answers a task.
     fn signal(&mut self, task: TaskId, signal: Signal);
-    /// Reports what happened at a task or, if `at` is `None`, elsewhere in the node.
-    fn observe(&mut self, at: Option<TaskId>, observation: Observation) {
-        let _ = (at, observation);
-    }
+    /// Reports what happened at a task or, if the task is `None`, elsewhere in the node.
+    fn observe(&mut self, _: Option<TaskId>, _: Observation) {}
+    /// The packet that one task of the node sends another one in a fused step. It is made only for an outbox that looks at it (D207).
+    fn within(&mut self, _: impl FnOnce() -> Packet) {}
 }
 
 /// The parts of a node, for a driver that puts them behind several locks.

@@ -1,7 +1,7 @@
 //! Tests of tasks of a node that share a domain: futures that exchange messages in fused steps (D187), and futures or
 //! scripts that meet in fused steps (D193).
 
-use crate::common::{LONG, LONG_TICKS, Tape, ask, cell, one_node, table};
+use crate::common::{LONG, LONG_TICKS, SmallSteps, Tape, ask, cell, one_node, table};
 use imrs_protocol::script::{Binary, End, Program, ProgramBuilder, Type};
 use imrs_protocol::{PortCounters, PortDecl, PortId, PortView, TaskId, Ticks, Usage};
 use imrs_runtime::{AsyncContext, Builder, Rendezvous, TaskEnd, TaskError};
@@ -77,9 +77,10 @@ fn counted(how: impl FnOnce(Builder) -> Builder, calls: Option<Arc<AtomicU32>>) 
 }
 
 #[test]
-fn futures_that_take_fused_steps_count_the_same_as_those_that_are_recorded() {
+fn futures_that_take_fused_steps_count_the_same_as_those_that_take_small_steps() {
     let fused = counted(|node| node, None);
     assert_eq!(fused[1][0].counters.delivered, QUESTIONS);
+    assert_eq!(fused, counted(|node| node.recorder(Arc::new(SmallSteps)), None));
     assert_eq!(fused, counted(|node| node.recorder(Arc::new(Tape::default())), None));
 }
 
@@ -146,7 +147,7 @@ fn all(node: Builder, add: impl Fn(Builder, &str) -> Builder) -> Builder {
 }
 
 #[test]
-fn tasks_that_meet_in_fused_steps_meet_as_often_as_those_that_are_recorded() {
+fn tasks_that_meet_in_fused_steps_meet_as_often_as_those_that_take_small_steps() {
     let futures = |node: Builder| all(node, |node, name| node.async_task(name, meet));
     let scripts = |node: Builder| all(node, |node, name| node.script(name, meeter()));
     // Scripts and futures never share a domain.
@@ -155,6 +156,7 @@ fn tasks_that_meet_in_fused_steps_meet_as_often_as_those_that_are_recorded() {
         three.script("d", meeter())
     };
     let tape = |node: Builder| node.recorder(Arc::new(Tape::default()));
+    let small = |node: Builder| node.recorder(Arc::new(SmallSteps));
     let counts = |ports: Vec<PortCounters>| -> Vec<_> {
         ports.into_iter().map(|port| (port.sent, port.delivered, port.timed_out)).collect()
     };
@@ -162,6 +164,8 @@ fn tasks_that_meet_in_fused_steps_meet_as_often_as_those_that_are_recorded() {
     assert_eq!(counts(met(futures)), expected);
     assert_eq!(counts(met(scripts)), expected);
     assert_eq!(counts(met(mixed)), expected);
+    assert_eq!(counts(met(|node| small(futures(node)))), expected);
+    assert_eq!(counts(met(|node| small(scripts(node)))), expected);
     assert_eq!(counts(met(|node| tape(futures(node)))), expected);
     assert_eq!(counts(met(|node| tape(scripts(node)))), expected);
     // Nothing is sent within a fused step, so no CONFIRM arrives after its receiver has gone on to the next round.

@@ -151,12 +151,13 @@ fn counted(who: impl FnOnce(Builder) -> Builder) -> Vec<Vec<PortView>> {
 }
 
 #[test]
-fn scripts_without_a_watch_or_a_recorder_take_fused_steps_and_count_the_same() {
+fn scripts_without_a_watch_take_fused_steps_and_count_the_same() {
     let fused = counted(|node| node);
     let watched = counted(|node| node.watch(Arc::new(Notes(Mutex::default()))));
     let recorded = counted(|node| node.recorder(Arc::new(Tape::default())));
+    let small = counted(|node| node.recorder(Arc::new(crate::common::SmallSteps)));
     assert_eq!(fused[1][0].counters.delivered, 100);
-    assert_eq!([&fused, &fused], [&watched, &recorded]);
+    assert_eq!([&fused, &fused, &fused], [&watched, &recorded, &small]);
 }
 
 fn replays(table: &Arc<CellTable>, tape: &Tape, node: NodeId, task: TaskId) -> usize {

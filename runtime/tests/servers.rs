@@ -1,6 +1,6 @@
 //! Tests of servers that answer and wait for the next message in one call (D200).
 
-use crate::common::{A, B, C, LONG, LONG_TICKS, Tape, ask, cell, finish, one_node, table};
+use crate::common::{A, B, C, LONG, LONG_TICKS, SmallSteps, Tape, ask, cell, finish, one_node, table};
 use imrs_protocol::{Fault, Outcome, PortCounters, PortDecl, Target, Ticks, Usage};
 use imrs_runtime::{Asked, AsyncContext, Builder, Context, RequestFault, Sent, TaskEnd, TaskError};
 use std::future::{Future, poll_fn};
@@ -79,7 +79,8 @@ fn one_call_does_what_two_do() {
     let expected = counted(|node| node.async_task("b", in_two));
     assert!(expected.iter().all(|port| port.delivered == u64::from(QUESTIONS)), "{expected:?}");
     assert_eq!(counted(|node| node.async_task("b", in_one)), expected);
-    // Recorded tasks take small steps.
+    let small = |node: Builder| node.recorder(Arc::new(SmallSteps));
+    assert_eq!(counted(|node| small(node).async_task("b", in_one)), expected);
     let tape = |node: Builder| node.recorder(Arc::new(Tape::default()));
     assert_eq!(counted(|node| tape(node).async_task("b", in_one)), expected);
     assert_eq!(counted(|node| node.task("b", on_a_thread)), expected);

@@ -4,14 +4,12 @@ mod gathering;
 
 pub use gathering::{Gathering, Members};
 
-use super::work::Work;
-use super::{Node, NodeOutbox, Parts, TaskEffects};
+use super::{Node, NodeOutbox, Parts};
 use crate::ids::{PortId, TaskId};
 use crate::mapping;
 use crate::request::{Request, Target};
 use crate::table::{Ends, NodeTable};
-use crate::task::{CommTask, Get, Outbox};
-use alloc::collections::VecDeque;
+use crate::task::{CommTask, Get, OfTask, Outbox};
 
 /// What a request concerns that one fused step may carry out: one other task of the same node (D176).
 #[derive(Clone, Copy, Debug)]
@@ -117,22 +115,20 @@ impl Node {
     fn gather(&mut self, task: TaskId, request: &Request, out: &mut impl NodeOutbox) -> bool {
         let Parts { table, tasks, .. } = &mut self.parts;
         let Some(gathering) = Gathering::of(table, task, request) else { return false };
-        gathering.step(&mut Local { tasks, work: &mut self.work, out })
+        gathering.step(&mut Local { tasks, out })
     }
 }
 
 /// The tasks of a node, and where their effects go.
 struct Local<'a, O> {
     tasks: &'a mut [CommTask],
-    work: &'a mut VecDeque<Work>,
     out: &'a mut O,
 }
 
 impl<O: NodeOutbox> Members for Local<'_, O> {
     fn at(&mut self, place: usize) -> (&mut CommTask, impl Outbox) {
-        let Self { tasks, work, out } = self;
-        let task = &mut tasks[place];
-        let effects = TaskEffects { task: task.task(), work, out: *out };
+        let task = &mut self.tasks[place];
+        let effects = OfTask { task: task.task(), out: self.out };
         (task, effects)
     }
 }

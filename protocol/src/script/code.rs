@@ -218,6 +218,26 @@ fn owners(program: &Program) -> Vec<Option<Option<u8>>> {
     owners.into_iter().zip(shared).map(|(owner, shared)| owner.filter(|_| !shared)).collect()
 }
 
+/// The GET to which a script comes from `to` after a statement that is done, if only jumps and the beginnings of statements are before
+/// it, each of which `begins` gets; otherwise where that ends. Each wait begins with a full limit of operations, so none is counted.
+pub fn get_after(program: &Program, mut to: Address, mut begins: impl FnMut(Address)) -> Address {
+    // The beginning of a statement asks for a boundary only after something else than an acceptance.
+    let is_plain = program.fusing == Fusing::Fused || !program.is_interruptible();
+    for _ in 0..MOST_BRANCHES {
+        to = match program.code.get(usize::from(to)) {
+            Some(&Op::Jump(to)) => to,
+            Some(Op::Statement) if is_plain => {
+                begins(to);
+                to.saturating_add(1)
+            }
+            Some(&Op::On { outcomes, to }) if outcomes.has(StatementOutcome::Done) => to,
+            Some(Op::On { .. }) => to.saturating_add(1),
+            _ => break,
+        };
+    }
+    to
+}
+
 /// Compiles one operation at a time.
 struct Compiler<'a> {
     program: &'a Program,
@@ -245,28 +265,13 @@ impl Compiler<'_> {
         };
         let after = Address::try_from(at + usize::from(count)).ok()?;
         let next = match self.program.code.get(usize::from(after)) {
-            _ if matches!(self.program.code[at], Op::Reply { .. }) => self.get_after(after),
+            _ if matches!(self.program.code[at], Op::Reply { .. }) => {
+                Landing { to: get_after(self.program, after, |_| ()), count: 0 }
+            }
             Some(&Op::Jump(to)) => Landing { to, count: count + 1 },
             _ => Landing { to: after, count },
         };
         Some(Shortcut { statement: false, act, count, next })
-    }
-
-    /// The GET to which a script comes from `at` after a statement that is done, if only jumps and the beginnings of statements are
-    /// before it; otherwise where that ends. Each wait begins with a full limit of operations, so none is counted.
-    fn get_after(&self, mut to: Address) -> Landing {
-        // The beginning of a statement asks for a boundary only after something else than an acceptance.
-        let is_plain = self.program.fusing == Fusing::Fused || !self.program.is_interruptible();
-        for _ in 0..MOST_BRANCHES {
-            to = match self.program.code.get(usize::from(to)) {
-                Some(&Op::Jump(to)) => to,
-                Some(Op::Statement) if is_plain => to.saturating_add(1),
-                Some(&Op::On { outcomes, to }) if outcomes.has(StatementOutcome::Done) => to,
-                Some(Op::On { .. }) => to.saturating_add(1),
-                _ => break,
-            };
-        }
-        Landing { to, count: 0 }
     }
 
     /// Where the outcomes of a statement lead.

@@ -1,6 +1,6 @@
 //! Runs a script beside its communication task: the one loop of all drivers.
 
-use super::code::Act;
+use super::code::{Act, get_after};
 use super::{Address, Code, End, HOST_LIMIT, Op, Program, Requests, Script, ScriptFault, ScriptInput, Wait};
 use crate::ids::{PortId, TaskId};
 use crate::packet::Contents;
@@ -66,6 +66,12 @@ impl ScriptHost {
         }
     }
 
+    /// Whether the script has an input that it has not taken.
+    #[must_use]
+    pub const fn has_input(&self) -> bool {
+        self.input.is_some()
+    }
+
     /// Restarts the count of steps, because input comes from outside the node.
     pub const fn count_anew(&mut self) {
         self.steps = 0;
@@ -73,7 +79,8 @@ impl ScriptHost {
 
     /// The GET that the script makes next if the REPLY is accepted that [`next`](Self::next) returned last, for a driver that makes
     /// both at once (D200) and then calls [`made`](Self::made). `None` if something else comes first, or the script has taken nearly
-    /// all its steps. The driver's outbox does not hear about the acceptance, the GET and the statements before it.
+    /// all its steps. The driver's outbox does not hear about the acceptance, the GET and the statements before it: of those,
+    /// [`statements_before_get`](Self::statements_before_get) tells.
     #[must_use]
     #[inline]
     pub fn get_after_reply(&self) -> Option<(Address, Request)> {
@@ -81,6 +88,13 @@ impl ScriptHost {
             return None;
         }
         self.script.get_after_reply(&self.program, &self.code)
+    }
+
+    /// Passes the statements to `begins` that begin between the REPLY and the GET of [`get_after_reply`](Self::get_after_reply).
+    pub fn statements_before_get(&self, begins: impl FnMut(Address)) {
+        if let Some(frame) = self.script.top() {
+            get_after(&self.program, frame.at.saturating_add(1), begins);
+        }
     }
 
     /// The REPLY was accepted, and the GET of this operation is made.

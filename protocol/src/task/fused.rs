@@ -11,12 +11,13 @@
 mod getting;
 mod meeting;
 
-pub(crate) use getting::Get;
+pub(crate) use getting::{Get, OfTask};
 
 use super::CommTask;
 use super::machines::Machines;
 use super::own::Role;
 use super::wait::Pending;
+use crate::mapping;
 use crate::node::NodeOutbox;
 use crate::observe::{Event, Observation};
 use crate::packet::Contents;
@@ -77,6 +78,7 @@ impl CommTask {
         own.next_sequence = message.sequence.next();
         own.endpoints[place].counters.sent += 1;
         out.observe(Some(own.task), Observation::of(Event::Sent, id, their.task, message, ttl));
+        out.within(|| mapping::message(port, own.task, their.task, message, ttl, contents));
         if let Some(request) = asks {
             let retry = from.retry;
             let asked = (peer.recipient, message);
@@ -130,6 +132,7 @@ impl CommTask {
         let origin = (usize::from(inbox), usize::from(peer.slot));
         let Some(left) = machines.server.answer_fused(origin, to, contents, own.now) else { return false };
         out.observe(Some(own.task), Observation::of(Event::Replied, to.port, to.source, to.id, left));
+        out.within(|| mapping::answer(to, own.task, mapping::answer_kind(port), left, contents));
         out.signal(own.task, Signal::Accepted(1));
         let left = theirs.client.close_fused(request, recipient) - their.now;
         theirs.interrupts.end_wait();

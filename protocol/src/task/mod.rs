@@ -43,7 +43,7 @@ mod wait;
 mod walk;
 
 pub(crate) use fragments::Parts;
-pub(crate) use fused::Get;
+pub(crate) use fused::{Get, OfTask};
 pub use step::Outbox;
 #[cfg(feature = "checker")]
 pub use walk::Coming;

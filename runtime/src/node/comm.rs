@@ -4,14 +4,14 @@ use crate::clock::{self, Micros};
 use crate::node::effects::{Effect, Effects, Stamped};
 use crate::node::home::{Home, Homes, RunBy};
 use crate::observe::ring::Ring;
-use crate::record::{Digesting, Log, OutputDigest, ScriptStep, Step};
+use crate::record::{Digesting, Log, Logged, OutputDigest, ScriptStep};
 use crate::script::{HeldLease, ScriptRunner};
 use crate::sync::alarm::{Alarm, Cover};
 use crate::sync::handoff::Rest;
 use imrs_protocol::script::Program;
 use imrs_protocol::{
-    CommTask, Delivery, Event, Input, NodeTable, Observation, Outbox, Packet, PortId, QueueView, Reason,
-    Signal, TaskId, TaskView, Ticks, TimeId,
+    CommTask, Delivery, Event, Input, Instant, NodeTable, Observation, Outbox, Packet, PortId, QueueView,
+    Reason, Signal, TaskId, TaskView, Ticks, TimeId,
 };
 use std::sync::Arc;
 
@@ -33,10 +33,7 @@ pub(crate) struct Comm {
     /// The instant on the node's clock at which the machine's own clock began.
     started: Micros,
     /// The log of the machine's steps, if they are recorded.
-    log: Option<Box<dyn Log>>,
-    /// Whether the log wants the machine's state before the next step.
-    wants_keyframe: bool,
-    digest: OutputDigest,
+    pub logged: Option<Logged>,
     pub ring: Ring,
     discards: [u64; Reason::ALL.len()],
     /// The script of the task, if it has one. It runs under the lock of its communication task.
@@ -52,12 +49,10 @@ impl Comm {
         log: Option<Box<dyn Log>>,
         now: Micros,
     ) -> Self {
-        let wants_keyframe = log.as_ref().is_some_and(|log| log.wants_keyframe());
         Self {
             coupled: machine.epoch().is_some(),
             machine,
             table,
-            wants_keyframe,
             alarm,
             cover: Cover::new(home.place()),
             home,
@@ -65,8 +60,7 @@ impl Comm {
             answer: None,
             changed: false,
             started: now,
-            log,
-            digest: OutputDigest::START,
+            logged: log.map(Logged::new),
             ring: Ring::new(),
             discards: [0; Reason::ALL.len()],
             runner: None,
@@ -134,10 +128,8 @@ impl Comm {
         answers: &mut dyn FnMut(Signal),
         effects: &mut Effects,
     ) {
-        if self.wants_keyframe
-            && let Some(log) = &mut self.log
-        {
-            log.keyframe(&self.machine, self.digest);
+        if let Some(logged) = &mut self.logged {
+            logged.begin(&self.machine);
         }
         let mut out = Out {
             at: self.now() + elapsed.0,
@@ -149,11 +141,11 @@ impl Comm {
             ring: &mut self.ring,
             discards: &mut self.discards,
         };
-        let digest = self.log.is_some().then_some(&mut self.digest);
+        let digest = self.logged.as_mut().map(|logged| &mut logged.digest);
         let out = &mut Digesting { digest, out: &mut out };
         self.machine.handle(&self.table, self.machine.now() + elapsed, input, out);
-        if let Some(log) = &mut self.log {
-            self.wants_keyframe = log.step(&Step { elapsed, input: *input }, self.digest);
+        if let Some(logged) = &mut self.logged {
+            logged.small(elapsed, input);
         }
     }
 
@@ -163,13 +155,18 @@ impl Comm {
 
     /// Whether this task's steps are recorded.
     pub const fn is_recorded(&self) -> bool {
-        self.log.is_some()
+        self.logged.is_some()
+    }
+
+    /// Whether time has passed at the machine that is in no recorded step yet.
+    pub fn owes_time(&self) -> bool {
+        self.logged.as_ref().is_some_and(Logged::owes_time)
     }
 
     /// Records a step of the task's script, and the digest of the script's earlier outputs.
     pub fn record(&mut self, step: ScriptStep, done: OutputDigest) {
-        if let Some(log) = &mut self.log {
-            log.script(step, done);
+        if let Some(logged) = &mut self.logged {
+            logged.script(step, done);
         }
     }
 
@@ -226,23 +223,38 @@ impl Comm {
         self.cover.keep(&self.alarm, self.now(), due);
     }
 
-    /// Whether the task may take part in a fused step: its steps are not recorded one by one, and a pause of the node cannot end
-    /// its lease.
+    /// Whether the task may begin a fused step: a pause of the node cannot end its lease, and its log does not want its state first.
     pub const fn is_usual(&self) -> bool {
-        self.log.is_none() && !self.coupled
+        !self.coupled && !matches!(&self.logged, Some(logged) if logged.wants_keyframe())
     }
 
-    /// Lets time pass up to `now` at a task that is not recorded. Returns false, and changes nothing, if more than time
-    /// alone would happen.
+    /// Whether the task may take its part at `now` in a fused step that another one begins. `RECORDS`: whether it may be recorded.
+    #[inline(always)]
+    pub fn takes_part<const RECORDS: bool>(&mut self, now: Micros) -> bool {
+        self.is_usual()
+            && !(RECORDS && self.is_recorded() && self.has_told_script())
+            && self.catch_up_with(now)
+    }
+
+    /// Whether the task's script has a signal of an earlier fused step. A replay gives the script each signal before the task's next
+    /// input, so a recorded task takes no part in a further fused step until then.
+    fn has_told_script(&self) -> bool {
+        self.runner.as_ref().is_some_and(|runner| runner.has_input())
+    }
+
+    /// Lets time pass up to `now` without a step. Returns false, and changes nothing, if more than time alone would happen.
     #[inline]
     pub fn catch_up_with(&mut self, now: Micros) -> bool {
-        if self.now() == now {
-            return true;
+        self.now() == now || self.let_idle_time_pass(now)
+    }
+
+    fn let_idle_time_pass(&mut self, now: Micros) -> bool {
+        let (before, now) = (self.machine.now(), Instant(now.saturating_sub(self.started)));
+        let passes = before < now && self.machine.let_idle_time_pass(&self.table, now);
+        if passes && let Some(logged) = &mut self.logged {
+            logged.pass(now - before);
         }
-        self.now() < now && {
-            let now = self.machine.now() + self.elapsed(now);
-            self.machine.let_idle_time_pass(&self.table, now)
-        }
+        passes
     }
 
     /// Takes an input of a task that has no script.

@@ -44,6 +44,8 @@ pub(crate) struct Domain {
     members: Vec<Comm>,
     table: NodeTable,
     homes: Arc<Homes>,
+    /// Whether a member is recorded.
+    records: bool,
     /// The members whose state was changed in this turn, each listed once.
     changed: Vec<usize>,
 }
@@ -51,7 +53,8 @@ pub(crate) struct Domain {
 impl Domain {
     pub fn new(id: usize, members: Vec<Comm>, table: NodeTable, homes: Arc<Homes>) -> Self {
         let changed = Vec::with_capacity(members.len());
-        Self { id, members, table, homes, changed }
+        let records = members.iter().any(Comm::is_recorded);
+        Self { id, members, table, homes, records, changed }
     }
 
     pub fn member(&mut self, member: usize) -> &mut Comm {
@@ -134,8 +137,8 @@ impl Domain {
 
     /// As [`turn_of`](Self::turn_of), for a member that itself notes whether it changes.
     fn unchanged(&mut self, member: usize) -> Turn<'_> {
-        let Self { members, table, homes, changed, .. } = self;
-        Turn { members, member, table, homes, changed }
+        let Self { members, table, homes, changed, records, .. } = self;
+        Turn { members, member, table, homes, records: *records, changed }
     }
 }
 
@@ -232,6 +235,8 @@ pub(crate) struct Turn<'a> {
     member: usize,
     table: &'a NodeTable,
     homes: &'a Homes,
+    /// Whether a member of the domain is recorded.
+    records: bool,
     changed: &'a mut Vec<usize>,
 }
 

@@ -7,6 +7,7 @@
 
 mod digest;
 mod file;
+mod logged;
 mod packed;
 mod recording;
 mod replay;
@@ -20,6 +21,7 @@ pub use recording::{ReplayError, Replays, replay_recording, replay_scripts};
 pub use replay::{KeyframeError, Recorded, Replay, replay};
 pub use verdict::{Divergence, InvariantBroken, Miscount, ScriptDivergence, Verdict};
 
+pub(crate) use logged::Logged;
 pub(crate) use script::Did;
 
 use imrs_protocol::script::Program;
@@ -50,6 +52,12 @@ pub trait Log: Send {
     /// Records a step that the task has taken, with the digest of all its outputs, those of this step included. Returns
     /// whether the log wants the task's state before the next step, because steps were lost.
     fn step(&mut self, step: &Step, digest: OutputDigest) -> bool;
+
+    /// As [`step`](Self::step), for a step that the task took as its part of a fused step (D207). A task may have two parts in one fused
+    /// step: if the log wants the task's state after the first, it is given the state only after the second.
+    fn part(&mut self, step: &Step, digest: OutputDigest) -> bool {
+        self.step(step, digest)
+    }
 
     /// Records a step that the task's script is about to take, with the digest of everything that the script has done
     /// before. A signal that the communication task gives the script is not recorded as such a step.

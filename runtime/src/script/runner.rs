@@ -72,6 +72,7 @@ impl ScriptRunner {
 
     /// The communication task takes an input, and the script reacts.
     pub fn take(&mut self, comm: &mut Turn<'_>, stamped: Stamped, effects: &mut Effects) {
+        self.take_signal(comm, effects);
         let mut input = stamped.input;
         let only_time = matches!(input, Input::Time);
         let turn = time(comm, effects);
@@ -109,6 +110,7 @@ impl ScriptRunner {
         effects: &mut Effects,
     ) {
         let (level, number) = end;
+        self.take_signal(comm, effects);
         // Time passes first, because an expiry that is due by now may cut the action short.
         self.let_time_pass(comm, effects);
         let Some(acting) = self.side.acting.get_mut(usize::from(level)) else { return };
@@ -124,6 +126,7 @@ impl ScriptRunner {
     /// next input.
     pub fn catch_up(&mut self, comm: &mut Turn<'_>, effects: &mut Effects) {
         if !self.host.is_stopped() {
+            self.take_signal(comm, effects);
             self.let_time_pass(comm, effects);
         }
     }
@@ -133,6 +136,7 @@ impl ScriptRunner {
         if self.host.is_stopped() {
             return;
         }
+        self.take_signal(comm, effects);
         self.host.stop();
         for level in 0..MAX_THREADS {
             self.side.cut_short(u8::try_from(level).unwrap_or(u8::MAX), effects);
@@ -146,7 +150,7 @@ impl ScriptRunner {
     /// before the beginning of its turn.
     fn let_time_pass(&mut self, comm: &mut Turn<'_>, effects: &mut Effects) -> u64 {
         let elapsed = comm.elapsed(time(comm, effects));
-        if !elapsed.is_zero() {
+        if !elapsed.is_zero() || comm.owes_time() {
             self.step(comm, Step { elapsed, input: Input::Time }, effects);
             self.go_on(comm, effects);
         }
@@ -158,6 +162,19 @@ impl ScriptRunner {
         if let Some(watch) = &self.side.watch {
             let stands = Stands { script: &self.host.script, machine: comm.machine() };
             watch.stands(comm.machine().task(), comm.now(), &stands);
+        }
+    }
+
+    /// Whether a fused step has given the script a signal that the script has not taken yet.
+    pub const fn has_input(&self) -> bool {
+        self.host.has_input()
+    }
+
+    /// Lets the script take the signal of an earlier fused step before the task takes its next input, as in small steps.
+    #[inline]
+    fn take_signal(&mut self, comm: &mut Turn<'_>, effects: &mut Effects) {
+        if self.has_input() {
+            self.go_on(comm, effects);
         }
     }
 
@@ -179,6 +196,9 @@ impl ScriptRunner {
             && let Some((at, get)) = self.host.get_after_reply()
             && comm.fuse((request, Some(&get)), &mut ToScripts(&mut self.host), effects)
         {
+            if comm.is_recorded() {
+                self.host.statements_before_get(|statement| self.side.done.passed(statement));
+            }
             self.host.made(at);
             effects.steps += 1;
             return true;

@@ -149,3 +149,26 @@ impl Log for TapeOf {
         false
     }
 }
+
+/// A recorder that wants the state of a task before each of its steps, so that the tasks take small steps.
+pub struct SmallSteps;
+
+impl Recorder for SmallSteps {
+    fn log(self: Arc<Self>, _: TaskId) -> Option<Box<dyn Log>> {
+        Some(Box::new(Self))
+    }
+}
+
+impl Log for SmallSteps {
+    fn step(&mut self, _: &Step, _: OutputDigest) -> bool {
+        true
+    }
+
+    fn part(&mut self, step: &Step, _: OutputDigest) -> bool {
+        panic!("a part of a fused step: {step:?}");
+    }
+
+    fn wants_keyframe(&self) -> bool {
+        true
+    }
+}

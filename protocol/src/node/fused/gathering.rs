@@ -2,21 +2,26 @@
 //!
 //! In small steps the task sends ARRIVE to each of the others. If it is the last one, each member is released and sends
 //! CONFIRM to all others, n (n - 1) in all, each an input of its own. In the fused step every member hears of the arrival
-//! by the same functions, and no packet is made: the CONFIRMs would only find that their receivers are released.
+//! by the same functions, and takes no packet: the CONFIRMs would only find that their receivers are released.
 
 use crate::cell::Usage;
 use crate::ids::TaskId;
 use crate::mapping;
-use crate::request::{Request, TimeId};
+use crate::request::Request;
 use crate::table::{NodeTable, Port};
 use crate::task::{CommTask, Outbox};
 use crate::ticks::Ticks;
-use crate::{Observation, Packet, Signal};
 
 /// The communication tasks of a node, of which some are members of a `waitfor`.
 pub trait Members {
-    /// The communication task at this position among the node's tasks, ascending by task, and the outbox of its step.
+    /// The communication task at this position among the node's tasks, ascending by task, and the outbox of its step. The outbox
+    /// delivers no packet: all are for members that take part in the same step.
     fn at(&mut self, place: usize) -> (&mut CommTask, impl Outbox);
+
+    /// Whether the step may release the members. Then it leaves out the CONFIRMs that they would take as inputs.
+    fn may_release(&self) -> bool {
+        true
+    }
 }
 
 /// A task's arrival at a `waitfor` that one fused step may carry out for all members.
@@ -56,39 +61,21 @@ impl<'a> Gathering<'a> {
         let at = |member: usize| table.place(port.parties[member].task).unwrap_or_default();
         let (own, _) = members.at(at(from));
         let Some(arrival) = own.may_reach((port, from), arguments, patience) else { return false };
+        if arrival.releases() && !members.may_release() {
+            return false;
+        }
         let others = || (0..port.parties.len()).filter(|&member| member != from);
         if !others().all(|member| members.at(at(member)).0.may_hear((port, member), &arrival)) {
             return false;
         }
-        let (own, out) = members.at(at(from));
-        own.reach_fused(table, (port, from), &arrival, &mut Silent(out));
+        {
+            let (own, mut out) = members.at(at(from));
+            own.reach_fused(table, (port, from), &arrival, &mut out);
+        }
         for member in others() {
-            let (other, out) = members.at(at(member));
-            other.hear_fused(table, (port, member), &arrival, &mut Silent(out));
+            let (other, mut out) = members.at(at(member));
+            other.hear_fused(table, (port, member), &arrival, &mut out);
         }
         true
-    }
-}
-
-/// The outbox of a member in a fused step. It drops packets: they are for members that take part in the same step.
-struct Silent<O>(O);
-
-impl<O: Outbox> Outbox for Silent<O> {
-    fn transmit(&mut self, _: Packet) {}
-
-    fn signal(&mut self, signal: Signal) {
-        self.0.signal(signal);
-    }
-
-    fn arm(&mut self, id: TimeId, turn: u8, length: Ticks) {
-        self.0.arm(id, turn, length);
-    }
-
-    fn disarm(&mut self, id: TimeId) {
-        self.0.disarm(id);
-    }
-
-    fn observe(&mut self, observation: Observation) {
-        self.0.observe(observation);
     }
 }

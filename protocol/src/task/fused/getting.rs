@@ -67,10 +67,10 @@ impl CommTask {
     }
 }
 
-/// The outbox of one task's GET, which sends nothing and uses no Timer.
-struct OfTask<'a, O> {
-    task: TaskId,
-    out: &'a mut O,
+/// The outbox of one task's part in a fused step, which uses no Timer. It delivers no packet.
+pub(crate) struct OfTask<'a, O> {
+    pub task: TaskId,
+    pub out: &'a mut O,
 }
 
 impl<O: NodeOutbox> Outbox for OfTask<'_, O> {

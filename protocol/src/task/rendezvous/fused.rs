@@ -21,6 +21,13 @@ pub(crate) struct Arrival {
     is_last: bool,
 }
 
+impl Arrival {
+    /// Whether every member is released.
+    pub const fn releases(&self) -> bool {
+        self.is_last
+    }
+}
+
 impl Rendezvous {
     /// What the other members hear when this task, which does not wait anywhere, reaches the waitfor. `None` if the arrival
     /// requires small steps.

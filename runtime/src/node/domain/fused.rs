@@ -1,14 +1,17 @@
-//! Requests of a domain's member as fused steps: one step does what several small steps would do (D176,
-//! D200).
+//! Requests of a domain's member as fused steps: one step does what several small steps would do (D176, D200). It is recorded as
+//! the small steps for which it stands (D207).
 
 use super::Turn;
 use crate::clock::Micros;
-use crate::node::comm::Completion;
+use crate::node::comm::{Comm, Completion};
 use crate::node::effects::Effects;
 use crate::node::home::RunBy;
 use crate::observe::ring::Ring;
+use crate::record::{Logged, OutputDigest};
 use crate::script::ScriptRunner;
-use imrs_protocol::{Fusible, NodeId, NodeOutbox, Observation, Packet, Request, Signal, TaskId};
+use imrs_protocol::{
+    Fusible, Input, NodeId, NodeOutbox, NodeTable, Observation, Packet, Request, Signal, TaskId,
+};
 
 impl Turn<'_> {
     /// Takes a request of the member as one fused step with the other members that it concerns (D176, D193).
@@ -16,16 +19,29 @@ impl Turn<'_> {
     /// returns false and changes nothing; then the caller takes the small steps.
     pub fn fuse(
         &mut self,
-        (request, then): (&Request, Option<&Request>),
+        requests: (&Request, Option<&Request>),
         signals: &mut impl FusedSignals,
         effects: &mut Effects,
     ) -> bool {
+        if self.records {
+            self.fuse_by::<true, _>(requests, signals, effects)
+        } else {
+            self.fuse_by::<false, _>(requests, signals, effects)
+        }
+    }
+
+    /// [`fuse`](Self::fuse). `RECORDS`: whether a member of the domain is recorded.
+    #[inline(never)]
+    fn fuse_by<const RECORDS: bool, S: FusedSignals>(
+        &mut self,
+        (request, then): (&Request, Option<&Request>),
+        signals: &mut S,
+        effects: &mut Effects,
+    ) -> bool {
         let Self { members, member, table, .. } = self;
-        let own = &mut members[*member];
         if let Request::Get { .. } = request {
-            let usual = own.is_usual();
-            let mut out = Got { at: own.now(), ring: &mut own.ring, signals };
-            return usual && own.machine.fuse_get(table, request, &mut out);
+            let own = &mut members[*member];
+            return own.is_usual() && get::<RECORDS>(own, table, request, signals);
         }
         if members.len() == 1 {
             return false;
@@ -33,7 +49,8 @@ impl Turn<'_> {
         let own = &self.members[self.member];
         let (home, task) = (own.home, own.machine.task());
         let Some(fusible) = Fusible::of(self.table, task, request) else {
-            return matches!(request, Request::Arrive { .. }) && self.gather(request, signals, effects);
+            return matches!(request, Request::Arrive { .. })
+                && self.gather::<RECORDS, _>(request, signals, effects);
         };
         let there = self.homes.at(fusible.other);
         // If a packet for the other member is still in the queue, that packet comes first.
@@ -43,17 +60,19 @@ impl Turn<'_> {
         let Ok([own, other]) = self.members.get_disjoint_mut([home.member(), there.member()]) else {
             return false;
         };
-        if !(own.is_usual() && other.is_usual() && other.catch_up_with(own.now())) {
+        let at = own.now();
+        if !(own.is_usual() && other.takes_part::<RECORDS>(at)) {
             return false;
         }
-        let mut out = Fused {
-            at: own.now(),
+        let mut out = Fused::<_, RECORDS> {
+            at,
             task,
             rings: (&mut own.ring, &mut other.ring),
             signals,
             goes_on: then.is_some(),
             other: (there.member(), &mut other.runner),
             told: false,
+            parts: RECORDS.then(|| Parts::new(own.logged.as_mut(), other.logged.as_mut())),
         };
         let machines = (&mut own.machine, &mut other.machine);
         let is_done = match then {
@@ -63,7 +82,11 @@ impl Turn<'_> {
         if !is_done {
             return false;
         }
-        if !out.told {
+        let told = out.told;
+        if RECORDS && let Some(parts) = out.parts {
+            parts.record(request, then);
+        }
+        if !told {
             self.change(there.member());
             return true;
         }
@@ -77,6 +100,70 @@ impl Turn<'_> {
     }
 }
 
+/// A member takes a GET as one fused step.
+#[inline(always)]
+fn get<const RECORDS: bool>(
+    own: &mut Comm,
+    table: &NodeTable,
+    request: &Request,
+    signals: &mut impl FusedSignals,
+) -> bool {
+    let at = own.now();
+    let parts = RECORDS.then(|| Parts::new(own.logged.as_mut(), None));
+    let mut out = Got::<_, RECORDS> { at, ring: &mut own.ring, signals, parts };
+    let done = own.machine.fuse_get(table, request, &mut out);
+    if RECORDS
+        && done
+        && let Some(parts) = out.parts
+    {
+        parts.record(request, None);
+    }
+    done
+}
+
+/// The parts of two members in a fused step that are to be recorded.
+struct Parts<'a> {
+    /// The records of the task itself, and of the other one.
+    own: Option<&'a mut Logged>,
+    other: Option<&'a mut Logged>,
+    /// The packet that the task sends to the other one.
+    packet: Option<Packet>,
+    /// The digest of the task's outputs when its first request was accepted.
+    first: OutputDigest,
+}
+
+impl<'a> Parts<'a> {
+    const fn new(own: Option<&'a mut Logged>, other: Option<&'a mut Logged>) -> Self {
+        Self { own, other, packet: None, first: OutputDigest::START }
+    }
+
+    fn sent(&mut self, packet: Packet) {
+        if let Some(own) = &mut self.own {
+            own.transmitted(&packet);
+        }
+        self.packet = Some(packet);
+    }
+
+    fn signalled(&mut self, is_own: bool, signal: Signal) {
+        let logged = if is_own { &mut self.own } else { &mut self.other };
+        let Some(logged) = logged else { return };
+        logged.signalled(signal);
+        if is_own && matches!(signal, Signal::Accepted(_)) {
+            self.first = logged.digest;
+        }
+    }
+
+    /// Records the requests of the task itself, and what the other one takes.
+    fn record(self, request: &Request, then: Option<&Request>) {
+        if let Some(own) = self.own {
+            own.own(request, then, self.first);
+        }
+        if let (Some(other), Some(packet)) = (self.other, self.packet) {
+            other.part(Input::Packet(packet), other.digest);
+        }
+    }
+}
+
 /// Where the signals of a fused step go.
 pub(crate) trait FusedSignals {
     /// To the task that makes the request.
@@ -86,17 +173,21 @@ pub(crate) trait FusedSignals {
 }
 
 /// The outbox of a fused GET.
-struct Got<'a, S> {
+struct Got<'a, S, const RECORDS: bool> {
     at: Micros,
     ring: &'a mut Ring,
     signals: &'a mut S,
+    parts: Option<Parts<'a>>,
 }
 
-impl<S: FusedSignals> NodeOutbox for Got<'_, S> {
+impl<S: FusedSignals, const RECORDS: bool> NodeOutbox for Got<'_, S, RECORDS> {
     fn link(&mut self, _: NodeId, _: Packet) {}
 
     #[inline(always)]
     fn signal(&mut self, _: TaskId, signal: Signal) {
+        if RECORDS && let Some(parts) = &mut self.parts {
+            parts.signalled(true, signal);
+        }
         self.signals.own(Completion { signal, at: self.at });
     }
 
@@ -107,7 +198,7 @@ impl<S: FusedSignals> NodeOutbox for Got<'_, S> {
 }
 
 /// The outbox of one fused step. A fused step drops no message and sends no packet.
-struct Fused<'a, S> {
+struct Fused<'a, S, const RECORDS: bool> {
     at: Micros,
     task: TaskId,
     /// The rings of observations of the task itself and of the other task.
@@ -119,13 +210,18 @@ struct Fused<'a, S> {
     other: (usize, &'a mut Option<Box<ScriptRunner>>),
     /// Whether the other task got a signal.
     told: bool,
+    /// `None` without `RECORDS`.
+    parts: Option<Parts<'a>>,
 }
 
-impl<S: FusedSignals> NodeOutbox for Fused<'_, S> {
+impl<S: FusedSignals, const RECORDS: bool> NodeOutbox for Fused<'_, S, RECORDS> {
     fn link(&mut self, _: NodeId, _: Packet) {}
 
     #[inline(always)]
     fn signal(&mut self, task: TaskId, signal: Signal) {
+        if RECORDS && let Some(parts) = &mut self.parts {
+            parts.signalled(task == self.task, signal);
+        }
         let answer = Completion { signal, at: self.at };
         if task == self.task {
             if !(self.goes_on && matches!(signal, Signal::Accepted(_))) {
@@ -141,5 +237,12 @@ impl<S: FusedSignals> NodeOutbox for Fused<'_, S> {
     fn observe(&mut self, at: Option<TaskId>, observation: Observation) {
         let ring = if at == Some(self.task) { &mut self.rings.0 } else { &mut self.rings.1 };
         ring.push(self.at, observation);
+    }
+
+    #[inline(always)]
+    fn within(&mut self, packet: impl FnOnce() -> Packet) {
+        if RECORDS && let Some(parts) = &mut self.parts {
+            parts.sent(packet());
+        }
     }
 }

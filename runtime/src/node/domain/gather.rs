@@ -1,5 +1,5 @@
-//! The arrival of a member at a `waitfor` whose other members are all in the domain, as one fused step
-//! (D193).
+//! The arrival of a member at a `waitfor` whose other members are all in the domain, as one fused step (D193). It is recorded as
+//! the small steps for which it stands (D207).
 
 use super::{FusedSignals, Turn};
 use crate::clock::Micros;
@@ -7,19 +7,20 @@ use crate::node::comm::{Comm, Completion};
 use crate::node::effects::Effects;
 use crate::node::home::{Home, Homes, RunBy};
 use crate::observe::ring::Ring;
+use crate::record::Logged;
 use crate::script::ScriptRunner;
 use imrs_protocol::{
-    CommTask, Gathering, Members, Observation, Outbox, Packet, Request, Signal, Ticks, TimeId,
+    CommTask, Gathering, Input, Members, Observation, Outbox, Packet, Request, Signal, Ticks, TimeId,
 };
 
 impl Turn<'_> {
-    /// Lets the member arrive at a `waitfor`, as one fused step with all other members of that `waitfor`
-    /// (D193).
+    /// Lets the member arrive at a `waitfor`, as one fused step with all other members of that `waitfor` (D193). `RECORDS`:
+    /// whether a member of the domain is recorded.
     #[inline(never)]
-    pub(super) fn gather(
+    pub(super) fn gather<const RECORDS: bool, S: FusedSignals>(
         &mut self,
         request: &Request,
-        signals: &mut impl FusedSignals,
+        signals: &mut S,
         effects: &mut Effects,
     ) -> bool {
         let Some(gathering) = Gathering::of(self.table, self.machine().task(), request) else { return false };
@@ -33,15 +34,18 @@ impl Turn<'_> {
             if there.domain() != home.domain() || effects.inside.has_input_for(there) {
                 return false;
             }
-            let other = &mut self.members[there.member()];
-            if !(other.is_usual() && other.catch_up_with(now)) {
+            if !self.members[there.member()].takes_part::<RECORDS>(now) {
                 return false;
             }
         }
+        let (own, members) = (home.place(), &mut *self.members);
         let mut gathered =
-            Gathered { at: now, own: home.place(), members: self.members, homes, signals, effects };
+            Gathered::<_, RECORDS> { at: now, own, members, homes, signals, effects, packet: None };
         if !gathering.step(&mut gathered) {
             return false;
+        }
+        if RECORDS {
+            gathered.record(request, gathering.others());
         }
         gathering.others().for_each(|place| self.change(homes.at(place).member()));
         true
@@ -49,7 +53,7 @@ impl Turn<'_> {
 }
 
 /// The members of a domain during a fused arrival.
-struct Gathered<'a, S> {
+struct Gathered<'a, S, const RECORDS: bool> {
     at: Micros,
     /// The place, on the node, of the task that arrives.
     own: usize,
@@ -57,34 +61,74 @@ struct Gathered<'a, S> {
     homes: &'a Homes,
     signals: &'a mut S,
     effects: &'a mut Effects,
+    /// The ARRIVE to the last of the other members. Those to the others differ only in their destination.
+    packet: Option<Packet>,
 }
 
-impl<S: FusedSignals> Members for Gathered<'_, S> {
+impl<S, const RECORDS: bool> Gathered<'_, S, RECORDS> {
+    /// Records the parts of all members that are recorded.
+    fn record(self, request: &Request, others: impl Iterator<Item = usize>) {
+        if let Some(own) = &mut self.members[self.homes.at(self.own).member()].logged {
+            own.part(Input::Request(*request), own.digest);
+        }
+        let Some(packet) = self.packet else { return };
+        for place in others {
+            let Comm { machine, logged, .. } = &mut self.members[self.homes.at(place).member()];
+            if let Some(other) = logged {
+                other.part(Input::Packet(Packet { destination: machine.task(), ..packet }), other.digest);
+            }
+        }
+    }
+}
+
+impl<S: FusedSignals, const RECORDS: bool> Members for Gathered<'_, S, RECORDS> {
+    /// In a recording, the CONFIRMs of members that are released are inputs of their own, and a script takes them only after it has
+    /// gone on.
+    fn may_release(&self) -> bool {
+        !RECORDS
+    }
+
     fn at(&mut self, place: usize) -> (&mut CommTask, impl Outbox) {
         let home = self.homes.at(place);
-        let Comm { machine, ring, runner, .. } = &mut self.members[home.member()];
+        let Comm { machine, ring, runner, logged, .. } = &mut self.members[home.member()];
         let is_own = place == self.own;
         let (signals, effects) = (&mut *self.signals, &mut *self.effects);
-        (machine, Gathers { at: self.at, home, is_own, ring, runner, signals, effects })
+        let parts = RECORDS.then_some((logged.as_mut(), &mut self.packet));
+        (machine, Gathers::<_, RECORDS> { at: self.at, home, is_own, ring, runner, parts, signals, effects })
     }
 }
 
 /// The outbox of a member in a fused arrival. Such a step drops no message, and uses no Timer.
-struct Gathers<'a, S> {
+struct Gathers<'a, S, const RECORDS: bool> {
     at: Micros,
     home: Home,
     /// Whether this is the outbox of the member that arrives.
     is_own: bool,
     ring: &'a mut Ring,
     runner: &'a mut Option<Box<ScriptRunner>>,
+    /// With `RECORDS` the records of the member, and the ARRIVE that the arriving member sent last.
+    parts: Option<(Option<&'a mut Logged>, &'a mut Option<Packet>)>,
     signals: &'a mut S,
     effects: &'a mut Effects,
 }
 
-impl<S: FusedSignals> Outbox for Gathers<'_, S> {
-    fn transmit(&mut self, _: Packet) {}
+impl<S: FusedSignals, const RECORDS: bool> Outbox for Gathers<'_, S, RECORDS> {
+    #[inline(always)]
+    fn transmit(&mut self, packet: Packet) {
+        if RECORDS && let Some((logged, last)) = &mut self.parts {
+            if let Some(logged) = logged {
+                logged.transmitted(&packet);
+            }
+            if self.is_own {
+                **last = Some(packet);
+            }
+        }
+    }
 
     fn signal(&mut self, signal: Signal) {
+        if RECORDS && let Some((Some(logged), _)) = &mut self.parts {
+            logged.signalled(signal);
+        }
         let answer = Completion { signal, at: self.at };
         if self.is_own {
             return self.signals.own(answer);
