@@ -2,6 +2,7 @@
 
 mod command;
 mod complete;
+mod enter;
 mod entry;
 mod jump;
 pub mod lanes;

@@ -256,6 +256,13 @@ pub const BINDINGS: &[Binding] = &[
     everywhere(&[key('r')], Action::Record, "start a recording, or end it"),
     everywhere(&[key('C')], Action::Cell, "next cell"),
     on(&[Screen::Settings], &[code(KeyCode::Enter)], Action::Enter, "change this setting"),
+    on(&[Screen::Explain], &[code(KeyCode::Enter)], Action::Enter, "to the worst of these findings"),
+    on(
+        &[Screen::Help],
+        &[code(KeyCode::Enter)],
+        Action::Enter,
+        "use the key, command or column of this line",
+    ),
     everywhere(&[key('o')], Action::Settings, "settings of the running monitor"),
     everywhere(&[key('t')], Action::Theme, "next theme"),
     everywhere(&[ctrl('z')], Action::Suspend, "to the shell; `fg` returns"),
@@ -276,7 +283,10 @@ pub(crate) const fn hinted(screen: Screen) -> &'static [(Action, &'static str)] 
             &[(Action::Enter, "history"), (Action::Left, "previous"), (Action::Right, "next port")]
         }
         Screen::Settings => &[(Action::Enter, "change"), (Action::Back, "close"), (Action::Down, "down")],
-        Screen::Message | Screen::Explain | Screen::Help => &[(Action::Back, "back"), (Action::Down, "down")],
+        Screen::Help => &[(Action::Back, "back"), (Action::Enter, "use"), (Action::Down, "down")],
+        Screen::Message | Screen::Explain => {
+            &[(Action::Back, "back"), (Action::Enter, "go there"), (Action::Down, "down")]
+        }
         Screen::Rendezvous => {
             &[(Action::Enter, "go there"), (Action::Culprit, "culprit"), (Action::Cycles, "cycles")]
         }

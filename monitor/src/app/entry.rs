@@ -40,6 +40,14 @@ impl App {
         self.entry_line = Some(Entry { kind, input: text.into(), back: None, tried: None });
     }
 
+    /// Opens the line for commands, with the word of a command.
+    pub(super) fn open_command(&mut self, word: &str) {
+        let has_more =
+            super::COMMANDS.iter().any(|(usage, _)| usage.split(' ').next() == Some(word) && *usage != word);
+        let text = format!("{word}{}", if has_more { " " } else { "" });
+        self.entry_line = Some(Entry { kind: Kind::Command, input: text.into(), back: None, tried: None });
+    }
+
     /// Handles a key while the user types a line.
     pub(super) fn typed(&mut self, event: &KeyEvent, now: Moment) -> Effect {
         let Some(entry) = &mut self.entry_line else { return Effect::Nothing };
@@ -59,7 +67,7 @@ impl App {
                     self.filter_mut().clear();
                 }
             }
-            KeyCode::Enter => return self.enter_line(now),
+            KeyCode::Enter => return self.enter_typed(now),
             KeyCode::Up | KeyCode::Down => self.leaf(event.code == KeyCode::Up),
             KeyCode::Tab | KeyCode::BackTab => self.complete(event.code == KeyCode::Tab),
             _ => {
@@ -86,7 +94,7 @@ impl App {
         }
     }
 
-    fn enter_line(&mut self, now: Moment) -> Effect {
+    fn enter_typed(&mut self, now: Moment) -> Effect {
         let Some(entry) = self.entry_line.take() else { return Effect::Nothing };
         let text = entry.input.value();
         self.typed_before.remember(entry.kind, text);
@@ -128,6 +136,24 @@ impl App {
                 (completion, if forward { 0 } else { last })
             }
         };
+        self.put(completion, at);
+    }
+
+    /// Takes one of the completions that are shown.
+    pub(super) fn take_completion(&mut self, at: usize) {
+        self.put(self.completion(), at);
+        self.apply_filter();
+    }
+
+    /// Moves the cursor of the typed line to a place, in characters.
+    pub(super) fn move_cursor(&mut self, at: usize) {
+        if let Some(entry) = &mut self.entry_line {
+            entry.input = entry.input.clone().with_cursor(at);
+        }
+    }
+
+    /// Puts one of the completions in place of the word before the cursor.
+    fn put(&mut self, completion: Completion, at: usize) {
         let Some(word) = completion.words.get(at).cloned() else { return };
         let text = format!("{}{word}{}", completion.before, completion.after);
         let cursor = completion.before.chars().count() + word.chars().count();

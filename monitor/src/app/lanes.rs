@@ -228,6 +228,12 @@ impl App {
         self.lanes.zoom = to.min(ZOOMS.len() - 1);
     }
 
+    /// Whether a row of the timeline covers the most time.
+    #[must_use]
+    pub const fn is_widest(&self) -> bool {
+        self.lanes.zoom + 1 >= ZOOMS.len()
+    }
+
     pub(super) fn step_chart(&mut self, by: isize) {
         let chart = self.chart();
         self.hold(&chart, chart.bottom.saturating_add_signed(by), by < 0);

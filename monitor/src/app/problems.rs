@@ -58,6 +58,15 @@ impl App {
         }
     }
 
+    /// Opens the screen for the most severe finding that the shown page explains.
+    pub(super) fn enter_page(&mut self, now: Moment) {
+        let findings = self.findings(now);
+        match findings.iter().find(|finding| Some(finding.code) == self.explained) {
+            Some(finding) => self.go_to_finding(finding, now),
+            None => self.told = Some("this cell has no such finding now".to_owned()),
+        }
+    }
+
     fn go_to_finding(&mut self, finding: &Finding, now: Moment) {
         let screen = match finding.code {
             "model-violation" => Some(Screen::Model),

@@ -3,11 +3,14 @@
 use super::Hit;
 use super::canvas::{Canvas, Column, bar, first_row};
 use super::lists::Window;
+use super::rendezvous::place_of;
 use crate::app::App;
 use crate::clock::{Moment, Span};
+use crate::keys::Action;
+use crate::store::NodeIncarnation;
+use crate::store::health::Place;
 use crate::store::queue::{Waiting, queue};
 use crate::store::service::{Service, Share, service};
-use crate::store::{NodeIncarnation, PortInfo};
 use crate::theme::Ink;
 use imrs_protocol::{Class, PortView, TaskId};
 
@@ -30,7 +33,7 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
         .position(|q| *q == end)
         .map_or_else(String::new, |i| format!("{}/{}", i + 1, queues.len()));
     let above = above(canvas.height());
-    about(incarnation, end.task, view, info, &at, now, canvas);
+    about(app, incarnation, end.task, view, &at, now, canvas);
     counters(view, canvas);
     let served = service(app.store(), end.incarnation, end.task, end.port);
     if above > 2 {
@@ -51,7 +54,10 @@ const SINCE_ATTACHED: &str = " since attached: ";
 /// Draws the service times and the shares of the sources.
 fn shares(incarnation: &NodeIncarnation, served: Option<&Service>, canvas: &mut Canvas<'_>) {
     let Some(served) = served else {
-        canvas.line(2, &[(SINCE_ATTACHED, Ink::Dim), ("service nothing seen of it yet", Ink::Dim)]);
+        canvas.facts(
+            2,
+            &[(SINCE_ATTACHED, Ink::Dim, None), ("service nothing seen of it yet", Ink::Dim, None)],
+        );
         return;
     };
     let time = |us: Option<u64>| us.map_or_else(|| "-".to_owned(), |us| Span::micros(us).to_string());
@@ -70,8 +76,8 @@ fn shares(incarnation: &NodeIncarnation, served: Option<&Service>, canvas: &mut 
     };
     let each: Vec<_> = served.by_source.iter().map(share).collect();
     pieces.push((each.join("  "), Ink::Plain));
-    let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
-    canvas.line(2, &pieces);
+    let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink, None)).collect();
+    canvas.facts(2, &pieces);
 }
 
 /// Draws, for a watched port that competes with other ports, how often it was bypassed, and the limit of that (D58).
@@ -88,7 +94,8 @@ fn bypassed(
     let text = format!("bypassed {}/{} ", queue.bypassed, queue.bypass_limit);
     if canvas.area.width >= 100 {
         let near = queue.bypassed.saturating_mul(2) > queue.bypass_limit;
-        canvas.corner(1, &[text], if near { Ink::Warn } else { Ink::Dim });
+        let text = (text, Some(Hit::Column("bypassed")));
+        canvas.corner(1, &[vec![text]], if near { Ink::Warn } else { Ink::Dim });
     }
 }
 
@@ -106,47 +113,55 @@ fn fill(app: &App, view: &PortView, served: Option<&Service>, canvas: &mut Canva
     let drawn: String = late.map(height).collect();
     let time = |us: Option<u64>| us.map_or_else(|| "-".to_owned(), |us| Span::micros(us).to_string());
     let slack = format!("  slack p5 {} p50 {}", time(served.slack_p5_us), time(served.slack_p50_us));
-    canvas.line(3, &[(" fill: ", Ink::Dim), (&drawn, Ink::Bar), (&slack, Ink::Plain)]);
+    canvas.facts(3, &[(" fill: ", Ink::Dim, None), (&drawn, Ink::Bar, None), (&slack, Ink::Plain, None)]);
 }
 
 fn about(
+    app: &App,
     incarnation: &NodeIncarnation,
     task: TaskId,
     view: &PortView,
-    info: Option<&PortInfo>,
     at: &str,
     now: Moment,
     canvas: &mut Canvas<'_>,
 ) {
-    let presence = incarnation.presence(now);
-    let place = format!(" at {}@{}", incarnation.names.task(task), incarnation.node);
+    let (presence, info) = (incarnation.presence(now), incarnation.names.port(view.port));
+    let node = Place { node: Ok(incarnation.id), task: None, port: None };
+    let own = Place { task: Some(task), ..node };
     let class = if view.class == Class::Command { "2" } else { "1" };
     let time_out =
         info.and_then(|i| i.time_out(task)).map(|t| Span::micros(t.0.saturating_mul(incarnation.tick_us)));
-    let time_out = time_out.map_or_else(String::new, |t| format!("  time_out {t}"));
-    let users: Vec<_> = info.map_or(&[][..], |i| &i.parties).iter().filter(|p| p.task != task).collect();
-    let users: Vec<_> = users.iter().map(|p| incarnation.names.task(p.task).to_string()).collect();
-    let usage = format!("  usage {}", view.usage);
-    let class = format!("  class {class}");
-    let with = format!("  with {}", users.join(","));
-    let name = format!(" {}", incarnation.names.port_name(view.port));
-    let fill = format!("  buffer {}/{}", view.len, view.capacity);
-    let gone = if presence.is_gone() { format!("  {presence}: last state") } else { String::new() };
-    canvas.line(
-        0,
-        &[
-            (&name, Ink::Head),
-            (&place, Ink::Plain),
-            (&gone, Ink::Bad),
-            (&fill, Ink::Plain),
-            (&usage, Ink::Dim),
-            (&class, Ink::Dim),
-            (&with, Ink::Dim),
-            (&time_out, Ink::Dim),
-            ("  port ", Ink::Dim),
-            (at, Ink::Dim),
-        ],
-    );
+    let mut pieces = vec![
+        (format!(" {}", incarnation.names.port_name(view.port)), Ink::Head, place_of_port(own, view)),
+        (format!(" at {}@{}", incarnation.names.task(task), incarnation.node), Ink::Plain, at_place(own)),
+    ];
+    if presence.is_gone() {
+        pieces.push((format!("  {presence}: last state"), Ink::Bad, at_place(node)));
+    }
+    pieces.push((format!("  buffer {}/{}", view.len, view.capacity), Ink::Plain, None));
+    pieces.push((format!("  usage {}", view.usage), Ink::Dim, None));
+    pieces.push((format!("  class {class}"), Ink::Dim, None));
+    let users = info.map_or(&[][..], |i| &i.parties).iter().filter(|party| party.task != task);
+    for (number, user) in users.enumerate() {
+        let lead = if number == 0 { "  with " } else { "," };
+        let place = place_of(app, &incarnation.names.cell, user.task).and_then(at_place);
+        pieces.push((format!("{lead}{}", incarnation.names.task(user.task)), Ink::Dim, place));
+    }
+    if let Some(time_out) = time_out {
+        pieces.push((format!("  time_out {time_out}"), Ink::Dim, None));
+    }
+    pieces.push(("  port ".to_owned(), Ink::Dim, None));
+    pieces.push((at.to_owned(), Ink::Dim, Some(Hit::Key(Action::Right))));
+    let pieces: Vec<_> = pieces.iter().map(|(text, ink, hit)| (text.as_str(), *ink, *hit)).collect();
+    canvas.facts(0, &pieces);
+}
+
+const fn at_place(place: Place) -> Option<Hit> {
+    Some(Hit::Place(place))
+}
+
+const fn place_of_port(task: Place, view: &PortView) -> Option<Hit> {
+    at_place(Place { port: Some(view.port), ..task })
 }
 
 fn counters(view: &PortView, canvas: &mut Canvas<'_>) {
@@ -166,9 +181,9 @@ fn counters(view: &PortView, canvas: &mut Canvas<'_>) {
     ];
     let shown = all.iter().enumerate().filter(|(i, (_, n))| *i < 3 || *n > 0);
     let texts: Vec<_> = shown.map(|(_, (name, n))| format!("{name} {n}  ")).collect();
-    let figures = texts.iter().map(|text| (text.as_str(), Ink::Plain));
-    let pieces: Vec<_> = std::iter::once((" since start: ", Ink::Dim)).chain(figures).collect();
-    canvas.line(1, &pieces);
+    let figures = texts.iter().map(|text| (text.as_str(), Ink::Plain, None));
+    let pieces: Vec<_> = std::iter::once((" since start: ", Ink::Dim, None)).chain(figures).collect();
+    canvas.facts(1, &pieces);
 }
 
 /// The queue of a port, with the data that decide about the verdicts on its messages.
@@ -232,7 +247,8 @@ impl Queue<'_> {
     fn hidden(&self, shown: usize, canvas: &mut Canvas<'_>) {
         let hidden = usize::from(self.view.len).max(self.waiting.len()).saturating_sub(shown);
         if hidden > 0 && canvas.height() > 0 {
-            canvas.corner(0, &[format!("{hidden} more "), format!("+{hidden}")], Ink::Head);
+            let down = |text: String| vec![(text, Some(Hit::Key(Action::PageDown)))];
+            canvas.corner(0, &[down(format!("{hidden} more ")), down(format!("+{hidden}"))], Ink::Head);
         }
     }
 

@@ -47,7 +47,7 @@ pub(super) fn draw(
     inner.area.width = inner.area.width.saturating_sub(1);
     let (area, widths) = (inner.area, inner.widths(&columns));
     inner.titles(0, &columns, &widths);
-    canvas.corner(0, &[window.position(selected)], Ink::Head);
+    canvas.corner(0, &[vec![window.position(selected)]], Ink::Head);
     if rows.is_empty() {
         canvas.line(1, &[(" Nothing is wrong, and no message waits.", Ink::Good)]);
         return;

@@ -5,6 +5,7 @@ use super::canvas::{Canvas, columns};
 use crate::app::App;
 use crate::clock::Moment;
 use crate::drawn::Hit;
+use crate::keys::Action;
 use crate::replay::Ribbon;
 use crate::theme::Ink;
 use std::borrow::Cow;
@@ -44,6 +45,8 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     };
     let bar = width.saturating_sub(fixed + columns(keys));
     if bar < 8 {
+        canvas.target(0, 0, columns(&at), Hit::Key(Action::Oldest));
+        canvas.target(columns(&at), 0, width, Hit::Key(Action::Newest));
         canvas.line(0, &[(&at, Ink::Plain), ("of", Ink::Dim), (&end, Ink::Plain)]);
         return;
     }
@@ -60,5 +63,20 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     }
     let x = canvas.at(start + bar, 0, 1, "]", Ink::Dim);
     let x = canvas.at(x, 0, u16::MAX, &end, Ink::Plain);
+    canvas.keys(x, 0, keys, KEYS_OF_TIME);
     canvas.at(x, 0, u16::MAX, keys, Ink::Dim);
+    // The position before the bar and the length behind it lead to the two ends.
+    canvas.target(0, 0, start, Hit::Key(Action::Oldest));
+    canvas.target(start + bar, 0, x - start - bar, Hit::Key(Action::Newest));
 }
+
+/// The keys that move in time, as texts name them.
+pub(super) const KEYS_OF_TIME: &[(&str, Action)] = &[
+    ("[", Action::StepBack),
+    ("]", Action::StepOn),
+    ("{", Action::PreviousAnomaly),
+    ("}", Action::NextAnomaly),
+    ("Home", Action::Oldest),
+    ("End", Action::Newest),
+    ("space", Action::Pause),
+];
