@@ -71,6 +71,83 @@ fn every_screen_has_a_cursor_and_enter_leads_to_what_the_row_is_about() {
     }
 }
 
+/// The keys to each screen.
+const SCREENS: [(Screen, &str); 12] = [
+    (Screen::Overview, "1"),
+    (Screen::Port, "2l"),
+    (Screen::Message, "2l\n"),
+    (Screen::Rendezvous, "3"),
+    (Screen::Timeline, "4"),
+    (Screen::Timers, "5"),
+    (Screen::Events, "6"),
+    (Screen::Model, "7"),
+    (Screen::Problems, "8"),
+    (Screen::Explain, "8x"),
+    (Screen::Settings, "o"),
+    (Screen::Help, "?"),
+];
+
+/// Also while the events and the timeline follow, and on a narrow screen: one row has the sign, and Enter acts on it.
+#[test]
+fn every_screen_shows_where_enter_acts() {
+    let known: Vec<_> = SCREENS.iter().map(|(screen, _)| *screen).collect();
+    assert_eq!(known, Screen::ALL);
+    for size in [(40, 12), (64, 20), (80, 24), SIZE] {
+        for (screen, keys) in SCREENS {
+            let mut stage = Stage::busy(Theme::ASCII);
+            let shown = stage.typed(NOW, size, keys);
+            // The window of the settings has its own cursor, in front of the screen with the other one.
+            let sign = if screen == Screen::Settings { "|>" } else { ">" };
+            let has_sign = |line: &&str| {
+                if sign == ">" { line.starts_with(sign) } else { line.contains(sign) }
+            };
+            let signs = shown.lines().filter(has_sign).count();
+            assert_eq!((stage.app.screen, signs), (screen, 1), "{size:?}: {shown}");
+            let buffer = stage.draw(NOW, size.0, size.1);
+            let row = shown.lines().position(|line| has_sign(&line)).unwrap();
+            let middle = &buffer[(size.0 / 2, u16::try_from(row).unwrap())];
+            assert!(middle.modifier.contains(ratatui::style::Modifier::REVERSED), "{shown}");
+            stage.key(NOW, KeyCode::Enter);
+            assert_ne!(text(&stage.draw(NOW, size.0, size.1)), shown, "{screen:?}: Enter is seen");
+        }
+    }
+    let mut stage = Stage::busy(Theme::ASCII);
+    let shown = stage.typed(NOW, (40, 12), "2l\n");
+    assert!(shown.lines().nth(selected(&shown)).unwrap().starts_with(">armL@nl "), "{shown}");
+}
+
+/// What a node did leads to the node, what a task did to the task, and lost events to the node that lost them.
+#[test]
+fn enter_on_an_event_without_a_message_goes_to_its_place() {
+    let mut stage = Stage::busy(Theme::ASCII);
+    stage.lose(ms(1_120), 2);
+    for (words, place) in
+        [("lost   ", " nh "), (" dead ", " nh "), (" attached ", " nl "), ("gave up", "hoist")]
+    {
+        stage.typed(NOW, SIZE, "6");
+        let shown = drawn(&mut stage);
+        let row = row_of(&shown, words);
+        click(&mut stage, 60, row);
+        // The last row is selected while the list follows, so a click on it opens it.
+        if stage.app.screen == Screen::Events {
+            assert_eq!(selected(&drawn(&mut stage)), row, "{words}");
+            stage.key(NOW, KeyCode::Enter);
+        }
+        let shown = drawn(&mut stage);
+        assert_eq!(stage.app.screen, Screen::Overview, "{words}");
+        assert!(shown.lines().nth(selected(&shown)).unwrap().contains(place), "{words}: {shown}");
+        stage.keys(NOW, "6G");
+    }
+    stage.typed(NOW, SIZE, "4");
+    let shown = drawn(&mut stage);
+    click(&mut stage, 60, row_of(&shown, "lift r12 reached"));
+    drawn(&mut stage);
+    stage.key(NOW, KeyCode::Enter);
+    let shown = drawn(&mut stage);
+    assert_eq!(stage.app.screen, Screen::Overview);
+    assert!(shown.lines().nth(selected(&shown)).unwrap().contains("arm"), "{shown}");
+}
+
 #[test]
 fn a_row_that_is_about_no_place_says_so() {
     let mut stage = Stage::busy(Theme::ASCII);

@@ -178,8 +178,8 @@ fn enter_opens_the_history_of_the_message_in_the_row_and_escape_goes_back() {
     stage.key(NOW, KeyCode::Esc);
     assert_eq!(stage.app.screen, Screen::Timeline);
     stage.keys(NOW, "6\n");
-    assert_eq!(stage.app.screen, Screen::Events, "that events were lost is of no message");
-    stage.keys(NOW, "k\n");
+    assert_eq!(stage.app.screen, Screen::Overview, "that events were lost is of no message but of a node");
+    stage.keys(NOW, "6k\n");
     assert_eq!(stage.app.message(), Some(MessageKey { source: TaskId(0), port: HALT, number: 6 }));
 }
 

@@ -1,10 +1,13 @@
 //! What Enter does: on each screen it opens what the selected row is about.
 
+use super::slices::Slice;
 use super::{App, Effect, Screen, port_end};
 use crate::clock::Moment;
-use crate::store::journal::What;
+use crate::store::health::Place;
+use crate::store::journal::{Entry, What};
 use crate::store::message::{MessageKey, key_of};
 use crate::store::trail::Seen;
+use imrs_protocol::TaskId;
 
 impl App {
     /// Opens what the selected row is about.
@@ -17,13 +20,16 @@ impl App {
             Screen::Problems => self.enter_problem(now),
             Screen::Explain => self.enter_page(now),
             Screen::Overview => self.enter_row(now),
-            Screen::Port | Screen::Timeline | Screen::Events => match self.message_here(now) {
-                Some(key) => {
-                    (self.message, self.chosen_on) = (Some(key), self.screen);
-                    self.show(Screen::Message);
+            Screen::Port | Screen::Timeline | Screen::Events => {
+                match (self.message_here(now), self.place_here()) {
+                    (Some(key), _) => {
+                        (self.message, self.chosen_on) = (Some(key), self.screen);
+                        self.show(Screen::Message);
+                    }
+                    (None, Some(place)) => self.go_to(place, now),
+                    (None, None) => self.told = Some("this row is of no message".to_owned()),
                 }
-                None => self.told = Some("this row is of no message".to_owned()),
-            },
+            }
         }
         Effect::Draw
     }
@@ -53,6 +59,43 @@ impl App {
             Some(_) => self.show(Screen::Port),
             None => self.fold(row.open, now),
         }
+    }
+
+    /// The node or task that the selected row is about, on the screens of what happened.
+    fn place_here(&self) -> Option<Place> {
+        match self.screen {
+            Screen::Timeline => {
+                let chart = self.chart();
+                match (chart.mark(chart.bottom), chart.rows.get(chart.bottom)?) {
+                    (Some(mark), _) => {
+                        Some(Place { node: Ok(mark.incarnation), task: Some(mark.task), port: None })
+                    }
+                    (None, Slice::Lost(gap)) => {
+                        Some(Place { node: Ok(gap.incarnation), task: None, port: None })
+                    }
+                    (None, _) => None,
+                }
+            }
+            Screen::Events => self.place_of(self.events().get(self.line())?),
+            _ => None,
+        }
+    }
+
+    /// The task of an event or, for an event of a node or a link, the node that reported it.
+    fn place_of(&self, entry: &Entry) -> Option<Place> {
+        // The names of an event are those of its moment; the first events of a node are older than its table of names.
+        let of_node = self.store().incarnations_of(&entry.names.cell).filter(|one| one.node == entry.node);
+        let incarnation = self.store().latest(&entry.names.cell, of_node.last()?.node_id)?;
+        let names = &incarnation.names;
+        let task = match &entry.what {
+            What::Observed { task, .. } => *task,
+            What::Noticed { object, .. } => {
+                let is_named = |task: &TaskId| names.task(*task).shown() == object;
+                (0..names.tasks.len()).map(TaskId::from_index).find(is_named)
+            }
+        };
+        let task = task.filter(|task| names.home(*task) == Some(incarnation.node_id));
+        Some(Place { node: Ok(incarnation.id), task, port: None })
     }
 
     /// The message that the selected row is about.

@@ -52,7 +52,7 @@ impl App {
                 self.entry = Some((source, id));
                 self.step_queue(0, now);
             }
-            Hit::Line(line) if self.line() == Some(line) => return self.act(Action::Enter, now),
+            Hit::Line(line) if self.line() == line => return self.act(Action::Enter, now),
             Hit::Line(line) | Hit::Scroll(line) => self.go_to_line(line, now),
             Hit::Scrub(place) => self.scrub_to(place, now),
             Hit::Place(place) => self.go_to(place, now),

@@ -85,17 +85,14 @@ impl App {
     }
 
     /// The index of the selected line of the screen's list.
-    pub(super) fn line(&self) -> Option<usize> {
+    pub(super) fn line(&self) -> usize {
         match self.screen {
-            Screen::Timeline => {
-                let chart = self.chart();
-                chart.held.then_some(chart.bottom)
-            }
+            Screen::Timeline => self.chart().bottom,
             Screen::Events => {
-                let held = self.held?;
-                self.events().iter().rposition(|event| event.number <= held)
+                let held = self.held.unwrap_or(u64::MAX);
+                self.events().iter().rposition(|event| event.number <= held).unwrap_or(0)
             }
-            _ => Some(self.scroll),
+            _ => self.scroll,
         }
     }
 

@@ -140,6 +140,18 @@ impl Canvas<'_> {
         }
     }
 
+    /// Marks the selected row by a sign and by its style.
+    pub(super) fn cursor(&mut self, y: u16) {
+        self.at(0, y, 1, self.theme.glyphs.selected, Ink::Head);
+        self.select(y);
+    }
+
+    /// The part of this canvas behind the column of the cursor.
+    pub(super) fn indented(&mut self) -> Canvas<'_> {
+        let indent = 1.min(self.area.width);
+        self.part(Rect { x: self.area.x + indent, width: self.area.width - indent, ..self.area })
+    }
+
     /// Highlights the selected row. The highlight replaces all other styles, so that the row has one colour.
     pub(super) fn select(&mut self, y: u16) {
         if y < self.area.height {

@@ -34,8 +34,8 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let window = Window { first, page: room, lines: lines.len() };
     let canvas = &mut canvas.beside_scrollbar(1, window);
     let columns = columns(canvas.area.width);
-    let widths = canvas.widths(&columns);
-    canvas.titles(0, &columns, &widths);
+    let widths = canvas.indented().widths(&columns);
+    canvas.indented().titles(0, &columns, &widths);
     let Some(last) = last else {
         let text =
             if app.filter().is_empty() { " Nothing to report so far." } else { " No event has this text." };
@@ -60,9 +60,9 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
         } else {
             cells.extend([(entry.kind(), ink), (narrow.as_str(), Ink::Plain)]);
         }
-        canvas.row(y, &columns, &widths, &cells);
-        if app.held.is_some() && i == bottom {
-            canvas.select(y);
+        canvas.indented().row(y, &columns, &widths, &cells);
+        if i == bottom {
+            canvas.cursor(y);
         }
         canvas.target(0, y, canvas.area.width, Hit::Line(i));
     }

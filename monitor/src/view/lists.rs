@@ -53,8 +53,7 @@ impl Canvas<'_> {
     /// Makes a drawn line of a list a target, and marks it if it is selected.
     pub(super) fn line_of(&mut self, y: u16, line: usize, selected: usize) {
         if line == selected {
-            self.at(0, y, 1, self.theme.glyphs.selected, Ink::Head);
-            self.select(y);
+            self.cursor(y);
         }
         self.target(0, y, self.area.width, Hit::Line(line));
     }

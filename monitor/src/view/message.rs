@@ -12,6 +12,7 @@ use crate::store::queue::{Waiting, queue};
 use crate::store::timeline::own_clock;
 use crate::theme::Ink;
 use imrs_protocol::Event;
+use ratatui::layout::Rect;
 use std::time::Duration;
 
 const COLUMNS: [Column; 8] = [
@@ -100,8 +101,16 @@ fn table(app: &App, names: &Names, stages: &[Stage], whole_us: u64, canvas: &mut
     } else if width < 110 {
         (columns[1].width, columns[2].width) = (12, 12);
     }
-    let widths = canvas.widths(&columns);
-    canvas.titles(0, &columns, &widths);
+    // The first column of a wide table begins with spaces; that of a narrow one needs a column for the cursor before it.
+    let indent = u16::from(width < 60);
+    let inner = |canvas: &Canvas<'_>| Rect {
+        x: canvas.area.x + indent.min(canvas.area.width),
+        width: canvas.area.width.saturating_sub(indent),
+        ..canvas.area
+    };
+    let area = inner(canvas);
+    let widths = canvas.part(area).widths(&columns);
+    canvas.part(area).titles(0, &columns, &widths);
     let bar_width = widths.last().map_or(0, |w| w.saturating_sub(2).min(60));
     let room = usize::from(canvas.height().saturating_sub(1));
     // All rows use the clock of one node. The nodes' own clocks have different origins, so their times would not be in order.
@@ -146,7 +155,8 @@ fn table(app: &App, names: &Names, stages: &[Stage], whole_us: u64, canvas: &mut
             (bar.as_str(), if tight { Ink::Warn } else { Ink::Bar }),
         ];
         let cells: Vec<_> = shown.iter().map(|&i| all[i]).collect();
-        canvas.row(y, &columns, &widths, &cells);
+        let area = inner(canvas);
+        canvas.part(area).row(y, &columns, &widths, &cells);
         canvas.line_of(y, number, selected);
     }
 }

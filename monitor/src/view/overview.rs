@@ -51,9 +51,6 @@ pub(super) fn draw(
     titles(app, (&columns, &widths), &window.position(selected), &mut canvas.part(inner));
     for (y, (i, row, cells)) in (1..).zip(&shown) {
         let texts: Vec<_> = of.iter().map(|&c| (cells[c].0.as_str(), cells[c].1)).collect();
-        if *i == selected {
-            canvas.at(0, y, 1, app.theme.glyphs.selected, Ink::Head);
-        }
         let mut inner = canvas.part(inner);
         inner.row(y, &columns, &widths, &texts);
         if row.depth == 0
@@ -65,7 +62,7 @@ pub(super) fn draw(
         }
         let mut line = canvas.part(Rect { width, ..whole });
         if *i == selected {
-            line.select(y);
+            line.cursor(y);
         }
         line.target(0, y, width, Hit::Row(row.place));
     }

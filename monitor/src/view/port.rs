@@ -215,9 +215,7 @@ impl Queue<'_> {
             _ => &[0, 1, 2, 3, 4, 5, 6, 7, 9, 8],
         };
         let columns: Vec<Column> = shown.iter().map(|&i| column(i, width)).collect();
-        let mut inner = canvas.below(0);
-        inner.area.x += 1.min(inner.area.width);
-        inner.area.width = inner.area.width.saturating_sub(1);
+        let mut inner = canvas.indented();
         let widths = inner.widths(&columns);
         inner.titles(0, &columns, &widths);
         if self.waiting.is_empty() {
@@ -230,13 +228,9 @@ impl Queue<'_> {
         for (y, (i, waiting)) in (1..).zip(self.waiting.iter().enumerate().skip(window.first).take(room)) {
             let cells = self.cells(i, waiting, bar_width);
             let cells: Vec<_> = shown.iter().map(|&c| (cells[c].0.as_str(), cells[c].1)).collect();
-            let mut inner = canvas.below(0);
-            inner.area.x += 1.min(inner.area.width);
-            inner.area.width = inner.area.width.saturating_sub(1);
-            inner.row(y, &columns, &widths, &cells);
+            canvas.indented().row(y, &columns, &widths, &cells);
             if i == selected {
-                canvas.at(0, y, 1, self.app.theme.glyphs.selected, Ink::Head);
-                canvas.select(y);
+                canvas.cursor(y);
             }
             canvas.target(0, y, canvas.area.width, Hit::Entry(waiting.entry.source, waiting.entry.id));
         }

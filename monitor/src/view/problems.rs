@@ -42,9 +42,7 @@ pub(super) fn draw(
     let window = Window { first: first_row(selected, rows.len(), room), page: room, lines: rows.len() };
     let canvas = &mut canvas.beside_scrollbar(1, window);
     let columns = columns(canvas.area.width);
-    let mut inner = canvas.below(0);
-    inner.area.x += 1.min(inner.area.width);
-    inner.area.width = inner.area.width.saturating_sub(1);
+    let mut inner = canvas.indented();
     let (area, widths) = (inner.area, inner.widths(&columns));
     inner.titles(0, &columns, &widths);
     canvas.corner(0, &[vec![window.position(selected)]], Ink::Head);
@@ -65,8 +63,7 @@ pub(super) fn draw(
             cells.iter().take(columns.len()).map(|(text, ink)| (text.as_str(), *ink)).collect();
         canvas.part(area).row(y, &columns, &widths, &cells);
         if i == selected {
-            canvas.at(0, y, 1, app.theme.glyphs.selected, Ink::Head);
-            canvas.select(y);
+            canvas.cursor(y);
         }
         canvas.target(0, y, canvas.area.width, Hit::Problem(row.key()));
     }

@@ -14,7 +14,7 @@ use crate::store::timeline::{Mark, since_start};
 use crate::theme::Ink;
 use std::time::Duration;
 
-/// The width of the time axis.
+/// The width of the time axis, with the column of the cursor.
 const AXIS: u16 = 11;
 /// The least width of a lane.
 const LANE: u16 = 24;
@@ -68,7 +68,7 @@ fn lanes(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
             Slice::Lost(gap) => {
                 let node =
                     app.store().incarnation(gap.incarnation).map_or_else(String::new, |l| l.node.to_string());
-                let text = format!("== lost {} events of {node} ", gap.lost);
+                let text = format!(" == lost {} events of {node} ", gap.lost);
                 canvas.line(y, &[(&text, Ink::Warn), (&"=".repeat(200), Ink::Warn)]);
             }
             Slice::Quiet(time) => {
@@ -79,7 +79,10 @@ fn lanes(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
             Slice::Marks(places) | Slice::Elsewhere(places) => {
                 let marks: Vec<&Mark> = places.iter().map(|&i| &chart.timeline.marks[i]).collect();
                 if let Some(time) = time {
-                    canvas.at(0, y, AXIS, &time.to_string(), if time.exact { Ink::Plain } else { Ink::Dim });
+                    let text = time.to_string();
+                    // Beside the cursor, a long time loses its last digit.
+                    let text = if at == chart.bottom { format!("{:>10}", cut(text.trim(), 9)) } else { text };
+                    canvas.at(0, y, AXIS, &text, if time.exact { Ink::Plain } else { Ink::Dim });
                 }
                 match row {
                     _ if list => narrow(app, &marks, y, canvas),
@@ -88,8 +91,8 @@ fn lanes(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
                 }
             }
         }
-        if chart.held && at == chart.bottom {
-            canvas.select(y);
+        if at == chart.bottom {
+            canvas.cursor(y);
         }
         canvas.target(0, y, u16::MAX, Hit::Line(at));
     }
@@ -141,14 +144,14 @@ struct Time {
 impl std::fmt::Display for Time {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let at = Duration::from_micros(self.us.unsigned_abs());
-        let (minus, sign) = (if self.us < 0 { "-" } else { "" }, if self.exact { ' ' } else { '~' });
+        let (minus, sign) = (if self.us < 0 { "-" } else { "" }, if self.exact { "" } else { "~" });
         let (minutes, seconds) = (at.as_secs() / 60, at.as_secs() % 60);
         let text = if minutes < 60 {
-            format!("{minus}{minutes}:{seconds:02}.{:03}", at.subsec_millis())
+            format!("{sign}{minus}{minutes}:{seconds:02}.{:03}", at.subsec_millis())
         } else {
-            format!("{minus}{}:{:02}:{seconds:02}", minutes / 60, minutes % 60)
+            format!("{sign}{minus}{}:{:02}:{seconds:02}", minutes / 60, minutes % 60)
         };
-        write!(f, "{sign}{text:>9}")
+        write!(f, "{text:>10}")
     }
 }
 

@@ -9,7 +9,6 @@ use crate::store::trail::Trail;
 use crate::store::{Left, NodeIncarnation};
 use crate::theme::Ink;
 use imrs_protocol::{Event, PortId, TaskId, TaskState, TimeId};
-use ratatui::layout::Rect;
 
 /// A timer of a node, or a wait of a task.
 struct Entry {
@@ -61,12 +60,11 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
             _ => column.width,
         };
     }
-    let indented = Rect { x: canvas.area.x + 1.min(width), width: width.saturating_sub(1), ..canvas.area };
-    let widths = canvas.part(indented).widths(&columns);
-    canvas.part(indented).titles(0, &columns, &widths);
+    let widths = canvas.indented().widths(&columns);
+    canvas.indented().titles(0, &columns, &widths);
     canvas.corner(0, &[vec![window.position(selected)]], Ink::Head);
     for (y, (at, line)) in (1..).zip(lines.iter().enumerate().skip(window.first).take(room)) {
-        let mut inner = canvas.part(indented);
+        let mut inner = canvas.indented();
         match line {
             Line::Node(text, late, ink) => inner.line(y, &[(text, *ink), (late, *ink)]),
             Line::Note(text) => inner.line(y, &[("  ", Ink::Plain), (text, Ink::Dim)]),
