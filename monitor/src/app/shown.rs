@@ -125,10 +125,9 @@ impl App {
         }
     }
 
-    /// The filter that the user changes: that of the timeline or the event screen if it is shown, otherwise that of the
-    /// overview.
-    pub(super) const fn filter_mut(&mut self) -> &mut String {
-        match self.screen {
+    /// The filter of a screen: that of the timeline or the events, otherwise that of the overview.
+    pub(super) const fn filter_mut(&mut self, screen: Screen) -> &mut String {
+        match screen {
             Screen::Timeline => &mut self.lane_filter,
             Screen::Events => &mut self.event_filter,
             _ => &mut self.shape.filter,

@@ -184,7 +184,7 @@ impl App {
         if self.screen == Screen::Settings {
             self.toggle_settings();
         } else if !self.filter().is_empty() {
-            self.filter_mut().clear();
+            self.filter_mut(self.screen).clear();
         } else if self.screen != Screen::Overview {
             self.screen = match self.screen {
                 Screen::Help => self.before,
