@@ -70,6 +70,10 @@ pub struct Drawn {
     pub lines: usize,
     /// How many lanes of the timeline had room.
     pub lanes: usize,
+    /// The place to which the banner leads.
+    pub(crate) banner: Option<Place>,
+    /// Whether the cursor is on the banner. Then no row of a list shows it.
+    pub(crate) is_on_banner: bool,
     /// What Enter does on each line of the list, as a click on a target.
     pub(crate) opens: Vec<Option<Hit>>,
     pub(crate) hits: Vec<(Rect, Hit)>,

@@ -160,7 +160,11 @@ pub const BINDINGS: &[Binding] = &[
     everywhere(&[key('?')], Action::Show(Screen::Help), "this help; it begins with the selected title"),
     everywhere(&[code(KeyCode::Tab)], Action::NextTitle, "select the next title or figure: what it shows"),
     everywhere(&[code(KeyCode::BackTab)], Action::PreviousTitle, "the title or figure before it"),
-    everywhere(&[key('k'), code(KeyCode::Up)], Action::Up, "up"),
+    everywhere(
+        &[key('k'), code(KeyCode::Up)],
+        Action::Up,
+        "up; above the first row, to the banner: Enter goes there",
+    ),
     everywhere(&[key('j'), code(KeyCode::Down)], Action::Down, "down"),
     everywhere(&[code(KeyCode::PageUp), ctrl('b')], Action::PageUp, "a page up"),
     everywhere(&[code(KeyCode::PageDown), ctrl('f')], Action::PageDown, "a page down"),

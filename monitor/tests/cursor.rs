@@ -116,6 +116,42 @@ fn every_screen_shows_where_enter_acts() {
     assert!(shown.lines().nth(selected(&shown)).unwrap().starts_with(">armL@nl "), "{shown}");
 }
 
+/// Up from the first row of every list is the banner, and Enter there goes to what blocks the cell.
+#[test]
+fn the_cursor_reaches_the_banner() {
+    let later = ms(3_000);
+    for (screen, keys) in SCREENS {
+        let mut stage = Stage::busy(Theme::ASCII);
+        stage.lose(ms(1_500), 2);
+        let first = stage.typed(later, (80, 24), keys);
+        let up = "k".repeat(if matches!(screen, Screen::Events | Screen::Timeline) { 40 } else { 1 });
+        let shown = stage.typed(later, (80, 24), &up);
+        assert!(shown.lines().nth(1).unwrap().starts_with(">BLOCKED BY hoist@nh"), "{screen:?}: {shown}");
+        let rows = shown.lines().skip(2);
+        assert!(!rows.into_iter().any(|line| line.starts_with('>') || line.contains("|>")), "{shown}");
+        // Down leads back to the first row, and a step up again to the banner.
+        let down = stage.typed(later, (80, 24), "j");
+        assert!(!down.lines().nth(1).unwrap().starts_with('>'), "{screen:?}");
+        assert!(up.len() > 1 || down == first, "{screen:?}: {down}");
+        stage.typed(later, (80, 24), "kk");
+        stage.key(later, KeyCode::Enter);
+        let shown = text(&stage.draw(later, 80, 24));
+        assert_eq!(stage.app.screen, Screen::Overview, "{screen:?}");
+        assert!(shown.lines().nth(selected(&shown)).unwrap().contains("hoist"), "{screen:?}: {shown}");
+    }
+    // The wheel stays within the list, and without a block there is nothing above the first row.
+    let mut stage = Stage::busy(Theme::ASCII);
+    stage.lose(ms(1_500), 2);
+    stage.draw(later, 80, 24);
+    let event = |kind| Msg::Mouse(MouseEvent { kind, column: 9, row: 9, modifiers: KeyModifiers::NONE });
+    stage.app.update(event(MouseEventKind::ScrollUp), later);
+    assert!(!stage.app.is_on_banner());
+    let mut calm = Stage::new(Theme::ASCII);
+    calm.attach(ms(1_000), 2, 1);
+    calm.typed(ms(1_100), (80, 24), "kk");
+    assert!(!calm.app.is_on_banner());
+}
+
 /// What a node did leads to the node, what a task did to the task, and lost events to the node that lost them.
 #[test]
 fn enter_on_an_event_without_a_message_goes_to_its_place() {

@@ -21,7 +21,7 @@ impl App {
             Screen::Explain => self.enter_page(now),
             Screen::Overview => self.enter_row(now),
             Screen::Port | Screen::Timeline | Screen::Events => {
-                match (self.message_here(now), self.place_here()) {
+                match (self.message_here(now), self.place_here(now)) {
                     (Some(key), _) => {
                         (self.message, self.chosen_on) = (Some(key), self.screen);
                         self.show(Screen::Message);
@@ -62,7 +62,7 @@ impl App {
     }
 
     /// The node or task that the selected row is about, on the screens of what happened.
-    fn place_here(&self) -> Option<Place> {
+    fn place_here(&self, now: Moment) -> Option<Place> {
         match self.screen {
             Screen::Timeline => {
                 let chart = self.chart();
@@ -76,7 +76,7 @@ impl App {
                     (None, _) => None,
                 }
             }
-            Screen::Events => self.place_of(self.events().get(self.line())?),
+            Screen::Events => self.place_of(self.events().get(self.line(now))?),
             _ => None,
         }
     }

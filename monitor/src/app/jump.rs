@@ -15,6 +15,27 @@ impl App {
         }
     }
 
+    /// Whether the cursor is on the banner.
+    #[must_use]
+    pub const fn is_on_banner(&self) -> bool {
+        self.on_banner
+    }
+
+    /// Selects the row above; above the first row, the banner if it leads to a place.
+    pub(super) fn step_up(&mut self, now: Moment) {
+        let before = self.line(now);
+        self.step(-1, now);
+        let has_banner = self.drawn.screen == self.screen && self.drawn.banner.is_some();
+        self.on_banner = has_banner && self.line(now) == before;
+    }
+
+    /// Selects the place to which the banner leads.
+    pub(super) fn enter_banner(&mut self, now: Moment) {
+        if let Some(place) = self.drawn.banner {
+            self.go_to(place, now);
+        }
+    }
+
     /// Selects a place in the overview. Changes the settings that hide its row.
     pub(super) fn go_to(&mut self, place: Place, now: Moment) {
         if self.screen != Screen::Overview {

@@ -249,6 +249,10 @@ impl App {
         while chart.mark(to).is_none() && to > 0 && to < last {
             to = if back { to - 1 } else { to + 1 };
         }
+        // Before the first row with marks there is none to stay at, and the last row would be followed.
+        if back && chart.mark(to).is_none() {
+            to = (to..=last).find(|&row| chart.mark(row).is_some()).unwrap_or(last);
+        }
         self.lanes.held = chart.mark(to).map(Anchor::of).filter(|_| to < last);
     }
 

@@ -7,7 +7,7 @@ use crate::view::Hit;
 use crossterm::event::{MouseButton, MouseEvent, MouseEventKind};
 
 /// How many rows one step of the wheel moves.
-const WHEEL: usize = 3;
+const WHEEL: isize = 3;
 
 impl App {
     pub(super) fn clicked(&mut self, event: MouseEvent, now: Moment) -> Effect {
@@ -15,14 +15,15 @@ impl App {
             return Effect::Nothing;
         }
         match event.kind {
-            MouseEventKind::ScrollUp => self.again(Action::Up, now),
-            MouseEventKind::ScrollDown => self.again(Action::Down, now),
+            MouseEventKind::ScrollUp => self.roll(-WHEEL, now),
+            MouseEventKind::ScrollDown => self.roll(WHEEL, now),
             MouseEventKind::Down(MouseButton::Left) => {
                 // Before the next frame, the targets are those of the screen that was left.
                 let known = self.drawn.screen == self.screen;
                 let hit = self.drawn.hit(event.column, event.row).filter(|_| known);
                 let is_of_line = matches!(hit, Some(Hit::Completion(_) | Hit::Cursor(_)));
                 let typed = !is_of_line && self.leave_line();
+                self.on_banner = false;
                 let answered = self.told.take().is_some();
                 let effect = hit.map_or(Effect::Nothing, |hit| self.follow(hit, now));
                 if (typed || answered) && effect == Effect::Nothing { Effect::Draw } else { effect }
@@ -52,7 +53,7 @@ impl App {
                 self.entry = Some((source, id));
                 self.step_queue(0, now);
             }
-            Hit::Line(line) if self.line() == line => return self.act(Action::Enter, now),
+            Hit::Line(line) if self.line(now) == line => return self.act(Action::Enter, now),
             Hit::Line(line) | Hit::Scroll(line) => self.go_to_line(line, now),
             Hit::Scrub(place) => self.scrub_to(place, now),
             Hit::Place(place) => self.go_to(place, now),
@@ -87,10 +88,10 @@ impl App {
         self.step(isize::try_from(line).unwrap_or(isize::MAX), now);
     }
 
-    fn again(&mut self, action: Action, now: Moment) -> Effect {
-        for _ in 0..WHEEL {
-            self.act(action, now);
-        }
+    /// Moves by a step of the wheel. The wheel stays within the list, so it never selects the banner.
+    fn roll(&mut self, by: isize, now: Moment) -> Effect {
+        self.on_banner = false;
+        self.step(by, now);
         Effect::Draw
     }
 }

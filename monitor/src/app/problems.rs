@@ -28,7 +28,7 @@ impl App {
         chosen.unwrap_or(self.scroll).min(rows.len().saturating_sub(1))
     }
 
-    fn all_problems(&self, now: Moment) -> Vec<Problem> {
+    pub(super) fn all_problems(&self, now: Moment) -> Vec<Problem> {
         self.problems(&self.findings(now), &self.blockers(now), now)
     }
 

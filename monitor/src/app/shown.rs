@@ -85,8 +85,11 @@ impl App {
     }
 
     /// The index of the selected line of the screen's list.
-    pub(super) fn line(&self) -> usize {
+    pub(super) fn line(&self, now: Moment) -> usize {
         match self.screen {
+            Screen::Overview => self.selected(&self.rows(&self.findings(now), now)),
+            Screen::Port => self.entry(&self.queue(now)),
+            Screen::Problems => self.problem(&self.all_problems(now)),
             Screen::Timeline => self.chart().bottom,
             Screen::Events => {
                 let held = self.held.unwrap_or(u64::MAX);

@@ -19,7 +19,12 @@ impl App {
             self.go_back(action, now);
             return Effect::Draw;
         }
+        let was_on_banner = std::mem::take(&mut self.on_banner);
         match action {
+            Action::Up if was_on_banner => self.on_banner = true,
+            // Down leads back to the first row, which is still the selected one.
+            Action::Down if was_on_banner => {}
+            Action::Enter if was_on_banner => self.enter_banner(now),
             Action::Quit => return Effect::Quit,
             Action::Suspend => return Effect::Suspend,
             Action::Show(screen) => self.show(screen),
@@ -69,7 +74,7 @@ impl App {
                 self.next_lane(action == Action::Right);
             }
             Action::Left | Action::Right => self.fold(action == Action::Left, now),
-            Action::Up => self.step(-1, now),
+            Action::Up => self.step_up(now),
             Action::Down => self.step(1, now),
             Action::PageUp => self.step(-self.page(), now),
             Action::PageDown => self.step(self.page(), now),

@@ -30,7 +30,7 @@ pub(super) fn draw(
     let Some(first) = blockers.first() else {
         let (text, ink) = match held_back(app, &cell, now) {
             Some((text, place)) => {
-                canvas.target(0, 0, canvas.area.width, Hit::Place(place));
+                canvas.drawn.banner = Some(place);
                 (text, Ink::Warn)
             }
             // A block is shown only after half a second, but its findings already show that the cell is not well.
@@ -38,6 +38,7 @@ pub(super) fn draw(
             None => (" no single blocker".to_owned(), Ink::Dim),
         };
         canvas.line(0, &[(text.as_str(), ink)]);
+        leads_there(app, canvas);
         return;
     };
     let ink = ink(first.level);
@@ -49,7 +50,18 @@ pub(super) fn draw(
     if ink == Ink::Alarm {
         canvas.at(end, 0, width, &" ".repeat(width.saturating_sub(end).into()), ink);
     }
-    canvas.target(0, 0, width, Hit::Place(first.place));
+    canvas.drawn.banner = Some(first.place);
+    leads_there(app, canvas);
+}
+
+/// Makes the banner a target if it leads to a place, and shows the cursor if it is there.
+fn leads_there(app: &App, canvas: &mut Canvas<'_>) {
+    let Some(place) = canvas.drawn.banner else { return };
+    canvas.target(0, 0, canvas.area.width, Hit::Place(place));
+    if app.is_on_banner() {
+        canvas.cursor(0);
+        canvas.drawn.is_on_banner = true;
+    }
 }
 
 const fn ink(level: Severity) -> Ink {

@@ -140,8 +140,11 @@ impl Canvas<'_> {
         }
     }
 
-    /// Marks the selected row by a sign and by its style.
+    /// Marks the selected row by a sign and by its style, unless the cursor is on the banner.
     pub(super) fn cursor(&mut self, y: u16) {
+        if self.drawn.is_on_banner {
+            return;
+        }
         self.at(0, y, 1, self.theme.glyphs.selected, Ink::Head);
         self.select(y);
     }
