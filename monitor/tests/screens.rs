@@ -89,7 +89,7 @@ fn served(theme: Theme) -> Stage {
 }
 
 /// The left arm waits for the right arm at the lift, and the right arm waits for a message of `beat` from the left arm.
-fn cycle(theme: Theme) -> Stage {
+pub fn cycle(theme: Theme) -> Stage {
     let mut stage = Stage::cell(theme);
     let mut left = snapshot(0);
     left.tasks[0].view.meetings[0].members[1].arrived = false;

@@ -112,7 +112,7 @@ impl App {
                 match rows.get(self.problem(&rows)) {
                     Some(Problem::Finding { finding, .. }) => Some(finding.code),
                     Some(Problem::Message(_)) => Some("deadline-risk"),
-                    Some(Problem::Block(_)) => Some("rendezvous-stuck"),
+                    Some(Problem::Block(blocker)) => Some(blocker.code),
                     None => None,
                 }
             }

@@ -75,7 +75,7 @@ fn cells(app: &App, row: &Problem) -> Cells {
             let text = format!("{} - holds {}: {}", blocker.name, blocker.by.len(), blocker.why);
             let ink = if blocker.level == Severity::Bad { Ink::Alarm } else { Ink::Warn };
             let sign = mark(blocker.level).to_owned();
-            [(sign, ink), (label(app, blocker.place), ink), (text, ink), (String::new(), Ink::Dim)]
+            [(sign, ink), (label(app, blocker.place), ink), (text, ink), (blocker.code.to_owned(), Ink::Dim)]
         }
         Problem::Finding { finding, caused } => {
             let ink = match (finding.level, caused) {

@@ -17,7 +17,7 @@ pub struct Lint {
 
 macro_rules! lints {
     ($($name:ident $level:ident $code:literal $title:literal;)*) => {
-        $(pub(super) const $name: Lint = Lint {
+        $(pub(in crate::store) const $name: Lint = Lint {
             code: $code,
             level: Severity::$level,
             title: $title,
