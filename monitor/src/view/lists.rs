@@ -85,8 +85,16 @@ impl Canvas<'_> {
         }
     }
 
-    /// Draws the last of `values` as a sparkline, the latest at the right. `None` leaves a gap.
-    pub(super) fn sparkline(&mut self, x: u16, y: u16, width: u16, values: &[Option<u64>], ink: Ink) {
+    /// Draws the last of `values` as a sparkline at a column and row, the latest at the right. `None` leaves a gap. The full
+    /// height is `most`; without it, the greatest of the values.
+    pub(super) fn sparkline(
+        &mut self,
+        (x, y): (u16, u16),
+        width: u16,
+        values: &[Option<u64>],
+        most: Option<u64>,
+        ink: Ink,
+    ) {
         if y >= self.area.height || x >= self.area.width {
             return;
         }
@@ -111,6 +119,7 @@ impl Canvas<'_> {
             .bar_set(set)
             .absent_value_symbol(" ")
             .style(self.theme.style(ink));
+        let line = if let Some(most) = most { line.max(most) } else { line };
         line.render(area, self.buffer);
     }
 }

@@ -13,6 +13,7 @@ use crate::store::queue::{Waiting, queue};
 use crate::store::service::{Service, Share, service};
 use crate::theme::Ink;
 use imrs_protocol::{Class, PortView, TaskId};
+use ratatui::layout::Rect;
 
 /// The number of rows above the table of messages. On a low screen these are only the description and the counters.
 const fn above(height: u16) -> u16 {
@@ -38,7 +39,7 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let served = service(app.store(), end.incarnation, end.task, end.port);
     if above > 2 {
         shares(incarnation, served.as_ref(), canvas);
-        fill(app, view, served.as_ref(), canvas);
+        fill(view, served.as_ref(), canvas);
     }
     let whole =
         info.and_then(|i| i.time_out(end.task)).map_or(0, |t| t.0.saturating_mul(incarnation.tick_us));
@@ -100,20 +101,19 @@ fn bypassed(
 }
 
 /// Draws how many messages were queued over time, and the slack of the most urgent of them.
-fn fill(app: &App, view: &PortView, served: Option<&Service>, canvas: &mut Canvas<'_>) {
+fn fill(view: &PortView, served: Option<&Service>, canvas: &mut Canvas<'_>) {
     let Some(served) = served else { return };
-    let heights = app.theme.glyphs.heights;
-    let top = usize::from(view.capacity.max(1));
-    let height = |len: &u16| {
-        let at = (usize::from(*len) * (heights.len() - 1)).div_ceil(top).min(heights.len() - 1);
-        heights[at]
-    };
     let room = usize::from(canvas.area.width.saturating_sub(40)).max(10);
-    let late = served.fill.iter().skip(served.fill.len().saturating_sub(room));
-    let drawn: String = late.map(height).collect();
+    let values: Vec<_> = served.fill.iter().map(|len| Some(u64::from(*len))).collect();
+    let width = u16::try_from(values.len().min(room)).unwrap_or(u16::MAX);
+    let x = canvas.facts(3, &[(" fill: ", Ink::Dim, None)]);
+    canvas.sparkline((x, 3), width, &values, Some(view.capacity.max(1).into()), Ink::Bar);
+    canvas.target(x, 3, width, Hit::Column("fill"));
     let time = |us: Option<u64>| us.map_or_else(|| "-".to_owned(), |us| Span::micros(us).to_string());
     let slack = format!("  slack p5 {} p50 {}", time(served.slack_p5_us), time(served.slack_p50_us));
-    canvas.facts(3, &[(" fill: ", Ink::Dim, None), (&drawn, Ink::Bar, None), (&slack, Ink::Plain, None)]);
+    let end = (x + width).min(canvas.area.width);
+    let rest = Rect { x: canvas.area.x + end, width: canvas.area.width - end, ..canvas.area };
+    canvas.part(rest).facts(3, &[(&slack, Ink::Plain, None)]);
 }
 
 fn about(

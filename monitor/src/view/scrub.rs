@@ -11,7 +11,10 @@ use crate::theme::Ink;
 use std::borrow::Cow;
 
 /// The hints at the keys of the bar, longest first.
-const KEYS: [&str; 3] = ["  [ ] step  { } trouble  Home End  space ", "  [ ] { } space ", ""];
+const KEYS: [&str; 4] =
+    ["  [ ] step  { } trouble  Home End  space ", "  [ ] { } space ", " [ ] { } space", ""];
+/// A shorter bar would show no places.
+const LEAST: u16 = 8;
 
 /// The data that the scrub bar draws, and the shown position on it.
 fn ribbon(app: &App, now: Moment) -> Option<(Cow<'_, Ribbon>, u64)> {
@@ -38,13 +41,12 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let at = format!(" {at:>6} ");
     let end = format!(" {end}");
     let fixed = columns(&at) + columns(&end) + 2;
-    let keys = match width {
-        100.. => KEYS[0],
-        60..100 => KEYS[1],
-        _ => KEYS[2],
-    };
-    let bar = width.saturating_sub(fixed + columns(keys));
-    if bar < 8 {
+    let room = width.saturating_sub(fixed);
+    // The longest hints would take half of a narrow row.
+    let fits = |keys: &&&str| (width >= 100 || **keys != KEYS[0]) && columns(keys) + LEAST <= room;
+    let keys = KEYS.iter().find(fits).copied().unwrap_or_default();
+    let bar = room.saturating_sub(columns(keys));
+    if bar < LEAST {
         canvas.target(0, 0, columns(&at), Hit::Key(Action::Oldest));
         canvas.target(columns(&at), 0, width, Hit::Key(Action::Newest));
         canvas.line(0, &[(&at, Ink::Plain), ("of", Ink::Dim), (&end, Ink::Plain)]);
