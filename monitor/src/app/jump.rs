@@ -2,6 +2,7 @@
 
 use super::{App, Screen};
 use crate::clock::Moment;
+use crate::keys::Action;
 use crate::rows::Row;
 use crate::store::health::Place;
 use crate::store::journal::Severity;
@@ -29,11 +30,16 @@ impl App {
         self.on_banner = has_banner && self.line(now) == before;
     }
 
-    /// Selects the place to which the banner leads.
-    pub(super) fn enter_banner(&mut self, now: Moment) {
-        if let Some(place) = self.drawn.banner {
-            self.go_to(place, now);
+    /// Carries out the actions that are different while the cursor is on the banner. Returns whether this is one of them.
+    pub(super) fn act_on_banner(&mut self, action: Action, now: Moment) -> bool {
+        match (action, self.drawn.banner) {
+            (Action::Up, _) => self.on_banner = true,
+            // The first row is still the selected one.
+            (Action::Down, _) => {}
+            (Action::Enter, Some(place)) => self.go_to(place, now),
+            _ => return false,
         }
+        true
     }
 
     /// Selects a place in the overview. Changes the settings that hide its row.

@@ -19,12 +19,10 @@ impl App {
             self.go_back(action, now);
             return Effect::Draw;
         }
-        let was_on_banner = std::mem::take(&mut self.on_banner);
+        if std::mem::take(&mut self.on_banner) && self.act_on_banner(action, now) {
+            return Effect::Draw;
+        }
         match action {
-            Action::Up if was_on_banner => self.on_banner = true,
-            // Down leads back to the first row, which is still the selected one.
-            Action::Down if was_on_banner => {}
-            Action::Enter if was_on_banner => self.enter_banner(now),
             Action::Quit => return Effect::Quit,
             Action::Suspend => return Effect::Suspend,
             Action::Show(screen) => self.show(screen),

@@ -115,13 +115,6 @@ fn table(app: &App, names: &Names, stages: &[Stage], whole_us: u64, canvas: &mut
     let room = usize::from(canvas.height().saturating_sub(1));
     // All rows use the clock of one node. The nodes' own clocks have different origins, so their times would not be in order.
     let first = stages.first().and_then(|stage| app.store().incarnation(stage.mark.incarnation));
-    let place = |stage: &Stage| {
-        let mark = &stage.mark;
-        let is_of_task = !mark.in_transit;
-        let task = is_of_task.then_some(mark.task);
-        let port = task.map(|_| mark.seen.what.port);
-        Some(Hit::Place(Place { node: Ok(mark.incarnation), task, port }))
-    };
     let (window, selected) = canvas.chosen(app.scroll, room, stages.iter().map(place).collect());
     let canvas = &mut canvas.beside_scrollbar(1, window);
     for (y, (number, stage)) in (1..).zip(stages.iter().enumerate().skip(window.first).take(room)) {
@@ -159,6 +152,14 @@ fn table(app: &App, names: &Names, stages: &[Stage], whole_us: u64, canvas: &mut
         canvas.part(area).row(y, &columns, &widths, &cells);
         canvas.line_of(y, number, selected);
     }
+}
+
+/// The place of a stage: the port at its task, or the node whose transit buffer has the message.
+fn place(stage: &Stage) -> Option<Hit> {
+    let mark = &stage.mark;
+    let task = (!mark.in_transit).then_some(mark.task);
+    let port = task.map(|_| mark.seen.what.port);
+    Some(Hit::Place(Place { node: Ok(mark.incarnation), task, port }))
 }
 
 fn clock(us: u64) -> String {
