@@ -53,7 +53,11 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink, Option<Place>
         None => store.is_said_to_have_stopped(cell, node),
     };
     let cuts = cuts(store, cell, now);
-    let is_cut = |a, b| cuts.iter().any(|cut| [(a, b), (b, a)].contains(&(cut.from.node_id, cut.to.node_id)));
+    // The end at which nothing arrives.
+    let cut_at = |a, b| {
+        let found = cuts.iter().find(|cut| [(a, b), (b, a)].contains(&(cut.from.node_id, cut.to.node_id)));
+        found.map(|cut| cut.to.node_id)
+    };
     let is_faulty =
         |a, b| measured(app, cell, [(a, b), (b, a)], now).iter().any(|link| link.report.integrity.is_faulty);
     let mut pieces = vec![(" links".to_owned(), Ink::Dim, None)];
@@ -65,7 +69,7 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink, Option<Place>
         let (text, ink) = match heard.into_iter().flatten().min() {
             _ if stopped(link.a) || stopped(link.b) => ("STOPPED".to_owned(), Ink::Dim),
             _ if gone(link.a) || gone(link.b) => ("DOWN".to_owned(), Ink::Warn),
-            _ if is_cut(link.a, link.b) => ("CUT".to_owned(), Ink::Bad),
+            _ if cut_at(link.a, link.b).is_some() => ("CUT".to_owned(), Ink::Bad),
             _ if is_faulty(link.a, link.b) => ("FAULTY".to_owned(), Ink::Bad),
             Some(us) if us <= LATELY_US => {
                 let (delay, ink) = delay(app, cell, ends, now);
@@ -79,7 +83,8 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink, Option<Place>
             }
         };
         let is_ended = |node| stopped(node) || gone(node);
-        let node = if is_ended(link.b) && !is_ended(link.a) { link.b } else { link.a };
+        let ended = [link.a, link.b].into_iter().find(|node| is_ended(*node));
+        let node = ended.or_else(|| cut_at(link.a, link.b)).unwrap_or(link.a);
         let incarnation = store.latest(cell, node).map(|incarnation| incarnation.id);
         let place = Place { node: incarnation.ok_or(node), task: None, port: None };
         pieces.push((name + &text, ink, Some(place)));
