@@ -2,6 +2,7 @@
 
 mod command;
 mod complete;
+mod enter;
 mod entry;
 mod jump;
 pub mod lanes;
@@ -134,6 +135,8 @@ pub struct App {
     /// How the rows of the overview are sorted, folded and filtered.
     pub shape: Shape,
     selected: Option<Place>,
+    /// Whether the cursor is on the banner, above the first row.
+    on_banner: bool,
     port: Option<PortEnd>,
     /// The number of the first shown line, on the screens that only scroll.
     pub scroll: usize,
@@ -209,6 +212,7 @@ impl App {
             only,
             shape: Shape::default(),
             selected: None,
+            on_banner: false,
             port: None,
             scroll: 0,
             held: None,

@@ -31,8 +31,20 @@ pub enum Hit {
     Lane(TaskId),
     /// The title of a column or a figure, to be explained.
     Column(&'static str),
-    /// A key that the bottom line names.
+    /// A key that the screen names, or a fact that this key changes.
     Key(Action),
+    /// A command that the help names: its word is typed.
+    Command(&'static str),
+    /// A proposed completion of the typed line, by its index.
+    Completion(usize),
+    /// A place in the typed line, in characters from its beginning.
+    Cursor(usize),
+    /// The trouble with a node on the bottom line: its whole text.
+    Trouble,
+    /// A fact that needs an explanation: the sentence about it.
+    Fact(&'static str),
+    /// An answer on the bottom line, which any click removes.
+    Answer,
     /// A message of a queue: its source and its id.
     Entry(TaskId, MessageId),
 }
@@ -58,8 +70,12 @@ pub struct Drawn {
     pub lines: usize,
     /// How many lanes of the timeline had room.
     pub lanes: usize,
-    /// If the lines of the list are about places: the place of each line.
-    pub places: Vec<Option<Place>>,
+    /// The place to which the banner leads.
+    pub(crate) banner: Option<Place>,
+    /// Whether the cursor is on the banner. Then no row of a list shows it.
+    pub(crate) is_on_banner: bool,
+    /// What Enter does on each line of the list, as a click on a target.
+    pub(crate) opens: Vec<Option<Hit>>,
     pub(crate) hits: Vec<(Rect, Hit)>,
 }
 
@@ -95,13 +111,18 @@ impl Drawn {
         self.title(title).is_some()
     }
 
-    /// Drops all targets, because a window is drawn over them.
-    pub(crate) fn forget(&mut self) {
-        self.hits.clear();
+    /// Drops the targets within an area, because a window is drawn over it.
+    pub(crate) fn forget(&mut self, area: Rect) {
+        self.hits.retain(|(target, _)| !target.intersects(area));
     }
 
     /// Makes an area of the terminal a target of clicks.
     pub(crate) fn target(&mut self, area: Rect, hit: Hit) {
         self.hits.push((area, hit));
+    }
+
+    /// Makes an area a target that is above the other targets.
+    pub(crate) fn target_above(&mut self, area: Rect, hit: Hit) {
+        self.hits.insert(0, (area, hit));
     }
 }

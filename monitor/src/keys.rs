@@ -160,7 +160,11 @@ pub const BINDINGS: &[Binding] = &[
     everywhere(&[key('?')], Action::Show(Screen::Help), "this help; it begins with the selected title"),
     everywhere(&[code(KeyCode::Tab)], Action::NextTitle, "select the next title or figure: what it shows"),
     everywhere(&[code(KeyCode::BackTab)], Action::PreviousTitle, "the title or figure before it"),
-    everywhere(&[key('k'), code(KeyCode::Up)], Action::Up, "up"),
+    everywhere(
+        &[key('k'), code(KeyCode::Up)],
+        Action::Up,
+        "up; above the first row, to the banner: Enter goes there",
+    ),
     everywhere(&[key('j'), code(KeyCode::Down)], Action::Down, "down"),
     everywhere(&[code(KeyCode::PageUp), ctrl('b')], Action::PageUp, "a page up"),
     everywhere(&[code(KeyCode::PageDown), ctrl('f')], Action::PageDown, "a page down"),
@@ -187,11 +191,12 @@ pub const BINDINGS: &[Binding] = &[
         "every event, or only rendezvous and what went wrong",
     ),
     on(&[Screen::Rendezvous], &[key('c')], Action::Cycles, "only what waits in a cycle, or all"),
+    on(&[Screen::Port], &[code(KeyCode::Enter)], Action::Enter, "the history of this message"),
     on(
-        &[Screen::Port, Screen::Events, Screen::Timeline],
+        &[Screen::Events, Screen::Timeline],
         &[code(KeyCode::Enter)],
         Action::Enter,
-        "the history of this message",
+        "the history of its message; otherwise to its node or task",
     ),
     on(
         &[Screen::Rendezvous, Screen::Timers, Screen::Model, Screen::Message],
@@ -256,6 +261,13 @@ pub const BINDINGS: &[Binding] = &[
     everywhere(&[key('r')], Action::Record, "start a recording, or end it"),
     everywhere(&[key('C')], Action::Cell, "next cell"),
     on(&[Screen::Settings], &[code(KeyCode::Enter)], Action::Enter, "change this setting"),
+    on(&[Screen::Explain], &[code(KeyCode::Enter)], Action::Enter, "to the worst of these findings"),
+    on(
+        &[Screen::Help],
+        &[code(KeyCode::Enter)],
+        Action::Enter,
+        "use the key, command or column of this line",
+    ),
     everywhere(&[key('o')], Action::Settings, "settings of the running monitor"),
     everywhere(&[key('t')], Action::Theme, "next theme"),
     everywhere(&[ctrl('z')], Action::Suspend, "to the shell; `fg` returns"),
@@ -276,7 +288,10 @@ pub(crate) const fn hinted(screen: Screen) -> &'static [(Action, &'static str)] 
             &[(Action::Enter, "history"), (Action::Left, "previous"), (Action::Right, "next port")]
         }
         Screen::Settings => &[(Action::Enter, "change"), (Action::Back, "close"), (Action::Down, "down")],
-        Screen::Message | Screen::Explain | Screen::Help => &[(Action::Back, "back"), (Action::Down, "down")],
+        Screen::Help => &[(Action::Back, "back"), (Action::Enter, "use"), (Action::Down, "down")],
+        Screen::Message | Screen::Explain => {
+            &[(Action::Back, "back"), (Action::Enter, "go there"), (Action::Down, "down")]
+        }
         Screen::Rendezvous => {
             &[(Action::Enter, "go there"), (Action::Culprit, "culprit"), (Action::Cycles, "cycles")]
         }
@@ -284,13 +299,14 @@ pub(crate) const fn hinted(screen: Screen) -> &'static [(Action, &'static str)] 
             (Action::Right, "next lane"),
             (Action::Closer, "closer"),
             (Action::Wider, "wider"),
-            (Action::Enter, "history"),
+            (Action::Enter, "open"),
             (Action::Filter, "filter"),
         ],
         Screen::Timers | Screen::Model => &[(Action::Enter, "go there"), (Action::Culprit, "culprit")],
         Screen::Events => &[
             (Action::NextError, "next error"),
             (Action::Everything, "all"),
+            (Action::Enter, "open"),
             (Action::Filter, "filter"),
             (Action::Last, "follow"),
         ],

@@ -1,6 +1,7 @@
 //! The tests of the monitor, built as one program. The tests in `*_memory.rs` are programs of their own.
 
 mod blocked;
+mod clicks;
 mod common;
 #[path = "../../protocol/tests/allocations.rs"]
 mod counting;
@@ -24,6 +25,7 @@ mod replay;
 mod screens;
 mod settings;
 mod steer;
+mod targets;
 mod timeline;
 mod titles;
 mod typing;

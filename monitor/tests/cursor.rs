@@ -71,6 +71,119 @@ fn every_screen_has_a_cursor_and_enter_leads_to_what_the_row_is_about() {
     }
 }
 
+/// The keys to each screen.
+const SCREENS: [(Screen, &str); 12] = [
+    (Screen::Overview, "1"),
+    (Screen::Port, "2l"),
+    (Screen::Message, "2l\n"),
+    (Screen::Rendezvous, "3"),
+    (Screen::Timeline, "4"),
+    (Screen::Timers, "5"),
+    (Screen::Events, "6"),
+    (Screen::Model, "7"),
+    (Screen::Problems, "8"),
+    (Screen::Explain, "8x"),
+    (Screen::Settings, "o"),
+    (Screen::Help, "?"),
+];
+
+/// Also while the events and the timeline follow, and on a narrow screen: one row has the sign, and Enter acts on it.
+#[test]
+fn every_screen_shows_where_enter_acts() {
+    let known: Vec<_> = SCREENS.iter().map(|(screen, _)| *screen).collect();
+    assert_eq!(known, Screen::ALL);
+    for size in [(40, 12), (64, 20), (80, 24), SIZE] {
+        for (screen, keys) in SCREENS {
+            let mut stage = Stage::busy(Theme::ASCII);
+            let shown = stage.typed(NOW, size, keys);
+            // The window of the settings has its own cursor, in front of the screen with the other one.
+            let sign = if screen == Screen::Settings { "|>" } else { ">" };
+            let has_sign = |line: &&str| {
+                if sign == ">" { line.starts_with(sign) } else { line.contains(sign) }
+            };
+            let signs = shown.lines().filter(has_sign).count();
+            assert_eq!((stage.app.screen, signs), (screen, 1), "{size:?}: {shown}");
+            let buffer = stage.draw(NOW, size.0, size.1);
+            let row = shown.lines().position(|line| has_sign(&line)).unwrap();
+            let middle = &buffer[(size.0 / 2, u16::try_from(row).unwrap())];
+            assert!(middle.modifier.contains(ratatui::style::Modifier::REVERSED), "{shown}");
+            stage.key(NOW, KeyCode::Enter);
+            assert_ne!(text(&stage.draw(NOW, size.0, size.1)), shown, "{screen:?}: Enter is seen");
+        }
+    }
+    let mut stage = Stage::busy(Theme::ASCII);
+    let shown = stage.typed(NOW, (40, 12), "2l\n");
+    assert!(shown.lines().nth(selected(&shown)).unwrap().starts_with(">armL@nl "), "{shown}");
+}
+
+/// Up from the first row of every list is the banner, and Enter there goes to what blocks the cell.
+#[test]
+fn the_cursor_reaches_the_banner() {
+    let later = ms(3_000);
+    for (screen, keys) in SCREENS {
+        let mut stage = Stage::busy(Theme::ASCII);
+        stage.lose(ms(1_500), 2);
+        let first = stage.typed(later, (80, 24), keys);
+        let up = "k".repeat(if matches!(screen, Screen::Events | Screen::Timeline) { 40 } else { 1 });
+        let shown = stage.typed(later, (80, 24), &up);
+        assert!(shown.lines().nth(1).unwrap().starts_with(">BLOCKED BY hoist@nh"), "{screen:?}: {shown}");
+        let rows = shown.lines().skip(2);
+        assert!(!rows.into_iter().any(|line| line.starts_with('>') || line.contains("|>")), "{shown}");
+        // Down leads back to the first row, and a step up again to the banner.
+        let down = stage.typed(later, (80, 24), "j");
+        assert!(!down.lines().nth(1).unwrap().starts_with('>'), "{screen:?}");
+        assert!(up.len() > 1 || down == first, "{screen:?}: {down}");
+        stage.typed(later, (80, 24), "kk");
+        stage.key(later, KeyCode::Enter);
+        let shown = text(&stage.draw(later, 80, 24));
+        assert_eq!(stage.app.screen, Screen::Overview, "{screen:?}");
+        assert!(shown.lines().nth(selected(&shown)).unwrap().contains("hoist"), "{screen:?}: {shown}");
+    }
+    // The wheel stays within the list, and without a block there is nothing above the first row.
+    let mut stage = Stage::busy(Theme::ASCII);
+    stage.lose(ms(1_500), 2);
+    stage.draw(later, 80, 24);
+    let event = |kind| Msg::Mouse(MouseEvent { kind, column: 9, row: 9, modifiers: KeyModifiers::NONE });
+    stage.app.update(event(MouseEventKind::ScrollUp), later);
+    assert!(!stage.app.is_on_banner());
+    let mut calm = Stage::new(Theme::ASCII);
+    calm.attach(ms(1_000), 2, 1);
+    calm.typed(ms(1_100), (80, 24), "kk");
+    assert!(!calm.app.is_on_banner());
+}
+
+/// What a node did leads to the node, what a task did to the task, and lost events to the node that lost them.
+#[test]
+fn enter_on_an_event_without_a_message_goes_to_its_place() {
+    let mut stage = Stage::busy(Theme::ASCII);
+    stage.lose(ms(1_120), 2);
+    for (words, place) in
+        [("lost   ", " nh "), (" dead ", " nh "), (" attached ", " nl "), ("gave up", "hoist")]
+    {
+        stage.typed(NOW, SIZE, "6");
+        let shown = drawn(&mut stage);
+        let row = row_of(&shown, words);
+        click(&mut stage, 60, row);
+        // The last row is selected while the list follows, so a click on it opens it.
+        if stage.app.screen == Screen::Events {
+            assert_eq!(selected(&drawn(&mut stage)), row, "{words}");
+            stage.key(NOW, KeyCode::Enter);
+        }
+        let shown = drawn(&mut stage);
+        assert_eq!(stage.app.screen, Screen::Overview, "{words}");
+        assert!(shown.lines().nth(selected(&shown)).unwrap().contains(place), "{words}: {shown}");
+        stage.keys(NOW, "6G");
+    }
+    stage.typed(NOW, SIZE, "4");
+    let shown = drawn(&mut stage);
+    click(&mut stage, 60, row_of(&shown, "lift r12 reached"));
+    drawn(&mut stage);
+    stage.key(NOW, KeyCode::Enter);
+    let shown = drawn(&mut stage);
+    assert_eq!(stage.app.screen, Screen::Overview);
+    assert!(shown.lines().nth(selected(&shown)).unwrap().contains("arm"), "{shown}");
+}
+
 #[test]
 fn a_row_that_is_about_no_place_says_so() {
     let mut stage = Stage::busy(Theme::ASCII);

@@ -1,6 +1,8 @@
 //! Tests of cut links: one node sends, the other one hears nothing, and no task is accused instead.
 
 use crate::common::{Stage, beam, codes, ms, snapshot};
+use crossterm::event::{KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
+use imrs_monitor::app::Msg;
 use imrs_monitor::store::blocked::{Kind, blockers};
 use imrs_monitor::store::cuts::cuts;
 use imrs_monitor::theme::Theme;
@@ -60,6 +62,14 @@ fn what_is_sent_and_does_not_arrive_is_a_cut_link() {
         shown.lines().any(|line| line.contains("nr (pid") && line.contains("link from nl is cut")),
         "{shown}"
     );
+    // A click on the link leads to the end at which nothing arrives.
+    let row = shown.lines().position(|line| line.contains("nl-nr CUT")).unwrap();
+    let column = shown.lines().nth(row).unwrap().find("nl-nr CUT").unwrap() + 3;
+    let (column, row) = (u16::try_from(column).unwrap(), u16::try_from(row).unwrap());
+    let kind = MouseEventKind::Down(MouseButton::Left);
+    stage.app.update(Msg::Mouse(MouseEvent { kind, column, row, modifiers: KeyModifiers::NONE }), now);
+    let shown = stage.text(now, 120, 40);
+    assert!(shown.lines().any(|line| line.starts_with("> - nr (pid")), "{shown}");
     // As soon as something arrives again, the link is well.
     run(&mut stage, 7_000, 7_200, |_, at| (3 * at / 1_000, 20));
     assert_eq!(cuts(stage.app.store(), &beam(), ms(8_200)).len(), 0);

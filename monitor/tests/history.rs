@@ -228,6 +228,30 @@ fn the_history_is_as_long_as_it_says() {
     assert_eq!(first.timers.first().map(|timer| timer.remaining), None::<Ticks>);
 }
 
+/// On a narrow screen, too, the bar says which keys move, and each of them can be clicked.
+#[test]
+fn the_bar_names_its_keys_at_every_width() {
+    // The labels of a longer history take more of the row.
+    for (now, width) in [ms(1_150), ms(21_150)]
+        .into_iter()
+        .flat_map(|now| [40, 59, 60, 64, 80, 99, 100, 120, 200].map(|width| (now, width)))
+    {
+        let mut stage = Stage::busy(Theme::ASCII);
+        stage.frame(now, 0, whole(0, 0));
+        stage.key(now, KeyCode::Char(' '));
+        let shown = text(&stage.draw(now, width, 12));
+        let row = shown.lines().position(|line| line.contains("] ") && line.contains("{ }"));
+        let row = row.unwrap_or_else(|| panic!("no keys at {width}: {shown}"));
+        let line = shown.lines().nth(row).unwrap();
+        assert!(line.contains("[ ]") && line.contains("space"), "{width}: {line}");
+        let kind = MouseEventKind::Down(MouseButton::Left);
+        let column = u16::try_from(line.rfind("[ ]").unwrap()).unwrap();
+        let at = MouseEvent { kind, column, row: u16::try_from(row).unwrap(), modifiers: KeyModifiers::NONE };
+        stage.app.update(Msg::Mouse(at), now);
+        assert!(stage.app.gone_back().is_some(), "{width}: {line}");
+    }
+}
+
 /// The row of the scrub bar on the screen, and its characters.
 fn bar(stage: &mut Stage, now: Duration) -> (usize, Vec<char>) {
     let shown = text(&stage.draw(now, 100, 24));

@@ -1,7 +1,8 @@
 //! Tests of what nodes report of their links: delays against the declared bounds, and faulty links.
 
-use crate::common::{Stage, codes, ms, snapshot};
+use crate::common::{BEAT, Stage, beam, codes, ms, snapshot};
 use imrs_monitor::report;
+use imrs_monitor::store::health::{Place, findings};
 use imrs_monitor::theme::Theme;
 use imrs_protocol::NodeId;
 use imrs_wire::obs::{Delays, Integrity, LinkReport, LinkReports, LinkView, ServerFrame};
@@ -66,6 +67,37 @@ fn a_delay_is_shown_beside_its_bound_and_warned_of_when_it_comes_near() {
     // What was reported long ago is not shown any more.
     let (codes, row) = shown(&mut stage, 6_000);
     assert!(codes.is_empty() && !row.contains('/'), "{row}");
+}
+
+/// A link of the same node, and its timers, are late, too. That is less direct than what the port reports, and may be by
+/// chance, so it never takes the port's place on the first screen.
+#[test]
+fn a_slight_fault_of_a_link_displaces_nothing_that_a_port_reports() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    let bound = bound(&stage);
+    reports(&mut stage, 1_100, delays(500, 100, 2 * bound), Integrity::default());
+    let mut after = snapshot(1);
+    let beat = after.tasks[0].view.ports.iter_mut().find(|port| port.port == BEAT).unwrap();
+    beat.counters.refused += 1;
+    beat.queue.clear();
+    (beat.len, beat.min_slack) = (0, None);
+    stage.frame(ms(1_200), 1, ServerFrame::Snapshot(after));
+    let found = findings(stage.app.store(), &beam(), ms(1_200));
+    let codes: Vec<_> = found.iter().map(|finding| finding.code).collect();
+    let (first, link) =
+        (codes.iter().position(|code| *code == "refused"), codes.iter().position(|c| *c == "link-late"));
+    assert!(first.is_some() && link.is_some() && first < link, "{codes:?}");
+    assert_eq!(found[link.unwrap()].place, Place { task: None, port: None, ..found[first.unwrap()].place });
+    for size in [(64, 20), (80, 24), (120, 40)] {
+        let shown = stage.typed(ms(1_200), size, "1");
+        let foot = shown.lines().last().unwrap();
+        assert!(foot.contains("nr.armR.beat: refused"), "{shown}");
+    }
+    // The row of the node names the port, too.
+    let shown = stage.typed(ms(1_200), (120, 40), "1");
+    assert!(shown.lines().any(|line| line.contains(" nr ") && line.contains("! refused")), "{shown}");
+    // A more severe finding comes first, whatever it is about.
+    assert!(found.is_sorted_by_key(|finding| std::cmp::Reverse(finding.level)));
 }
 
 fn span(us: u64) -> String {

@@ -1,12 +1,14 @@
 //! Tests of the problems screen: one list over all nodes, with causes first, and the screens that its keys open.
 
-use crate::common::{BEAT, Stage, beam, ms};
+use crate::common::{BEAT, Stage, beam, cell_with, ms, snapshot};
 use crossterm::event::{KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
 use imrs_monitor::app::{Msg, Screen};
+use imrs_monitor::store::blocked::{Kind, blockers};
 use imrs_monitor::store::health::codes;
 use imrs_monitor::store::nearest::nearest;
 use imrs_monitor::theme::Theme;
-use imrs_protocol::TaskId;
+use imrs_protocol::{CellTable, TaskId, TaskState, Ticks};
+use imrs_wire::obs::{Liveness, ServerFrame, Table};
 
 fn dead() -> Stage {
     let mut stage = Stage::busy(Theme::ASCII);
@@ -78,6 +80,70 @@ fn the_page_of_a_code_opens_and_closes() {
     calm.keys(ms(1_001), "Gx");
     assert_eq!(calm.app.screen, Screen::Overview);
     assert!(calm.text(ms(1_001), 80, 24).contains("there is no finding here"));
+}
+
+/// A block of the left arm: it has waited long for the answer of the right arm, which runs.
+fn asked() -> Stage {
+    let mut stage = Stage::cell(Theme::ASCII);
+    let table = Table::of(&CellTable::new(cell_with(Ticks(2_000_000))).unwrap());
+    for node in 0..3 {
+        stage.frame(ms(1_000), node, ServerFrame::Table(table.clone()));
+        let mut state = snapshot(node);
+        let view = &mut state.tasks[0].view;
+        view.state = match node {
+            0 => TaskState::AwaitingReply { port: BEAT, from: TaskId(1), remaining: Ticks(300_000) },
+            _ => TaskState::Running,
+        };
+        view.meetings.clear();
+        for port in &mut view.ports {
+            port.queue.clear();
+            (port.len, port.min_slack) = (0, None);
+        }
+        stage.frame(ms(1_000), node, ServerFrame::Snapshot(state));
+    }
+    stage
+}
+
+/// A block that no finding mentions has a row of its own. Its page is about its own cause.
+#[test]
+fn the_page_of_a_block_is_about_its_cause() {
+    let mut stage = asked();
+    let shown = stage.typed(ms(1_001), (120, 40), "8");
+    let first = shown.lines().find(|line| line.starts_with('>')).unwrap();
+    assert!(first.contains("armR@nr - holds 1: reply beat") && first.contains("time-outs"), "{shown}");
+    stage.keys(ms(1_001), "x");
+    assert_eq!((stage.app.screen, stage.app.explained()), (Screen::Explain, Some("time-outs")));
+    let code = |stage: &Stage, now| {
+        let found = blockers(stage.app.store(), &beam(), now);
+        found.iter().map(|blocker| (blocker.kind, blocker.code)).collect::<Vec<_>>()
+    };
+    // The same wait, if the node of the right arm died, if it sends nothing, or if the task panicked.
+    let mut lost = asked();
+    lost.lose(ms(1_100), 1);
+    assert_eq!(code(&lost, ms(2_000))[0], (Kind::Awaited, "node-dead"));
+    let mut silent = asked();
+    for node in [0, 2] {
+        let mut state =
+            silent.app.store().incarnations()[node].last.clone().unwrap().snapshot.as_ref().clone();
+        state.mono_us += 3_000_000;
+        silent.frame(ms(4_000), node, ServerFrame::Snapshot(state));
+    }
+    assert_eq!(code(&silent, ms(4_000))[0], (Kind::Awaited, "node-silent"));
+    let mut crashed = asked();
+    let mut state = crashed.app.store().incarnations()[1].last.clone().unwrap().snapshot.as_ref().clone();
+    state.tasks[0].liveness = Liveness::Crashed;
+    crashed.frame(ms(1_100), 1, ServerFrame::Snapshot(state));
+    assert_eq!(code(&crashed, ms(2_000))[0], (Kind::Awaited, "task-crashed"));
+    // A rendezvous, a node for which no task waits, and a cycle.
+    let mut late = Stage::cell(Theme::ASCII);
+    late.frame(ms(1_100), 0, ServerFrame::Snapshot(snapshot(0)));
+    assert_eq!(code(&late, ms(1_600))[0], (Kind::Awaited, "rendezvous-stuck"));
+    let mut alone = asked();
+    alone.lose(ms(1_100), 2);
+    assert!(code(&alone, ms(2_000)).contains(&(Kind::Lost, "node-dead")));
+    let cycle = crate::screens::cycle(Theme::ASCII);
+    assert_eq!(code(&cycle, ms(1_150))[0], (Kind::Cycle, "wait-cycle"));
+    assert!(codes::ALL.iter().any(|lint| lint.code == code(&cycle, ms(1_150))[0].1));
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use crate::common::{Stage, ms};
 use imrs_monitor::name::Name;
-use imrs_monitor::query::{Assertion, FIELDS, Filter, PortRow};
+use imrs_monitor::query::{Assertion, EventRow, FIELDS, Filter, PortRow, Row, Scope, Value};
 use imrs_monitor::store::Store;
 use imrs_monitor::store::health::findings;
 use imrs_monitor::theme::Theme;
@@ -32,6 +32,35 @@ fn taken(store: &Store, text: &str) -> Vec<String> {
         }
     }
     taken
+}
+
+/// What the table of fields says of rows and events is what these have.
+#[test]
+fn a_field_has_values_where_its_scope_says() {
+    let mut stage = Stage::busy(Theme::ASCII);
+    stage.lose(NOW, 2);
+    let store = stage.app.store();
+    let events = store.journal().lines(true, "");
+    for info in FIELDS {
+        let is_there = |value: Value<'_>| value != Value::Missing;
+        let of_events = events.iter().any(|&entry| is_there(EventRow { entry, now: NOW }.field(info.field)));
+        let of_rows = store.incarnations().iter().any(|incarnation| {
+            incarnation.tasks().iter().any(|task| {
+                task.view.ports.iter().any(|port| {
+                    let row = PortRow { store, incarnation, task, port, findings: &[], now: NOW };
+                    is_there(row.field(info.field))
+                })
+            })
+        });
+        // In the sample cell no port has served enough for a service time, and nothing is wrong with one.
+        let of_rows = of_rows || matches!(info.name, "service" | "rate" | "code");
+        let known = match info.scope {
+            Scope::Rows => (true, false),
+            Scope::Events => (false, true),
+            Scope::Both => (true, true),
+        };
+        assert_eq!((of_rows, of_events), known, "{}", info.name);
+    }
 }
 
 #[test]

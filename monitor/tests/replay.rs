@@ -90,7 +90,7 @@ fn player() -> Player {
     Player::new(Arc::clone(&FILM), 1.0)
 }
 
-fn stage(theme: Theme) -> Stage {
+pub fn stage(theme: Theme) -> Stage {
     Stage { app: App::new(theme, None).replaying(player()) }
 }
 
@@ -376,7 +376,7 @@ fn clicks_hit_what_is_drawn_beside_a_finding() {
     let shown = text(&stage.draw(ms(0), 80, 15));
     let name = rows[last - 1].split_whitespace().next().unwrap();
     assert!(shown.lines().nth(selected(&shown).unwrap()).unwrap().contains(name), "{name}: {shown}");
-    let panel = rows.iter().position(|row| row.contains("step 0")).unwrap();
+    let panel = rows.iter().position(|row| row.contains("lines more")).unwrap();
     click(&mut stage, panel);
     assert_eq!(text(&stage.draw(ms(0), 80, 15)), shown);
 }

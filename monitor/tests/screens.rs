@@ -89,7 +89,7 @@ fn served(theme: Theme) -> Stage {
 }
 
 /// The left arm waits for the right arm at the lift, and the right arm waits for a message of `beat` from the left arm.
-fn cycle(theme: Theme) -> Stage {
+pub fn cycle(theme: Theme) -> Stage {
     let mut stage = Stage::cell(theme);
     let mut left = snapshot(0);
     left.tasks[0].view.meetings[0].members[1].arrived = false;
@@ -222,7 +222,7 @@ fn the_selection_is_marked_by_a_sign_and_by_reversing_in_every_theme() {
 fn the_help_lists_every_key_and_every_key_does_something_where_it_says() {
     let mut stage = stage(Theme::ASCII);
     stage.keys(NOW, "?");
-    let text = stage.text(NOW, 120, 150);
+    let text = stage.text(NOW, 120, 250);
     let keymap = Keymap::default();
     for binding in BINDINGS {
         let told = |line: &str| line.contains(binding.help) && line.contains(&keymap.label(binding));

@@ -178,8 +178,8 @@ fn enter_opens_the_history_of_the_message_in_the_row_and_escape_goes_back() {
     stage.key(NOW, KeyCode::Esc);
     assert_eq!(stage.app.screen, Screen::Timeline);
     stage.keys(NOW, "6\n");
-    assert_eq!(stage.app.screen, Screen::Events, "that events were lost is of no message");
-    stage.keys(NOW, "k\n");
+    assert_eq!(stage.app.screen, Screen::Overview, "that events were lost is of no message but of a node");
+    stage.keys(NOW, "6k\n");
     assert_eq!(stage.app.message(), Some(MessageKey { source: TaskId(0), port: HALT, number: 6 }));
 }
 
@@ -312,7 +312,7 @@ fn the_mouse_selects_opens_scrolls_and_sorts_and_can_be_off() {
     assert!(shown(&mut stage).lines().nth(row.into()).unwrap().starts_with('>'));
     mouse(&mut stage, click, 20, row);
     assert_eq!(stage.app.message().map(|key| key.number), Some(8_815));
-    let tab = text.lines().next().unwrap().find(" 1 ").unwrap() + 1;
+    let tab = shown(&mut stage).lines().next().unwrap().find(" 1 ").unwrap() + 1;
     mouse(&mut stage, click, u16::try_from(tab).unwrap(), 0);
     assert_eq!(stage.app.screen, Screen::Overview);
     let title = shown(&mut stage).lines().nth(2).unwrap().find("SLACK").unwrap();
@@ -347,9 +347,9 @@ fn clicks_and_pages_fit_the_first_frame_whatever_its_size() {
 
 #[test]
 fn beyond_the_end_of_a_screen_no_key_is_dead() {
-    for screen in ["?", "3", "5", "7"] {
+    for screen in ["?", "3", "5", "7", "8x", "2l\n", "o"] {
         let mut stage = Stage::busy(Theme::ASCII);
-        let end = stage.typed(NOW, (80, 9), &format!("{screen}Gjjjjjjjj"));
+        let end = stage.typed(NOW, (80, 9), &format!("{screen}Gjjjjjjjjjjjjjjjjjjjj"));
         assert_ne!(stage.typed(NOW, (80, 9), "k"), end, "{screen}: the first step back is seen");
     }
 }

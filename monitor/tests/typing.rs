@@ -132,6 +132,68 @@ fn what_is_wrong_is_said_while_it_is_typed() {
     }
 }
 
+/// What the line says while it is typed, Enter does not deny.
+#[test]
+fn a_theme_may_be_abbreviated() {
+    let mut stage = Stage::busy(Theme::ASCII);
+    for (typed, name) in [("contr", "contrast"), ("MONO", "mono"), ("colour", "colour")] {
+        stage.keys(NOW, &format!(":theme {typed}"));
+        assert_eq!(stage.app.slip(), None, "{typed}");
+        press(&mut stage, &[KeyCode::Enter]);
+        assert_eq!((stage.app.theme.name, &stage.app.told), (name, &None));
+    }
+    stage.keys(NOW, ":theme pink");
+    assert!(stage.app.slip().is_some());
+    press(&mut stage, &[KeyCode::Enter]);
+    assert_eq!(stage.app.theme.name, "colour");
+}
+
+/// A filter that cannot work on its screen says so while it is typed, and after Enter.
+#[test]
+fn a_filter_that_means_nothing_on_its_screen_says_so() {
+    for (keys, typed, said) in [
+        ("4", "slack<20ms", Some("no condition works here, so all is shown")),
+        ("4", "slak<", Some("no condition works here, so all is shown")),
+        ("4", "xyz", Some("nothing has this name, so all is shown")),
+        ("4", "armL", None),
+        ("4", "NH", None),
+        ("4", "bea", None),
+        ("6", "fill>80%", Some("an event has no `fill`")),
+        ("6", "kind=discard and not state=run", Some("an event has no `state`")),
+        ("6", "kind=discard and peer=armL", None),
+        ("1", "kind=discard", Some("a row has no `kind`")),
+        ("1", "fill>80% or slack<1s", None),
+    ] {
+        let mut stage = Stage::busy(Theme::ASCII);
+        stage.keys(NOW, &format!("{keys}/{typed}"));
+        let slip = stage.app.slip();
+        assert_eq!(slip.is_some(), said.is_some(), "{typed}: {slip:?}");
+        assert!(foot(&mut stage, 160).contains(said.unwrap_or_default()), "{typed}");
+        press(&mut stage, &[KeyCode::Enter]);
+        let told = stage.app.told.clone().unwrap_or_default();
+        assert_eq!(told.is_empty(), said.is_none(), "{typed}: {told}");
+        assert!(told.contains(said.unwrap_or_default()), "{typed}: {told}");
+    }
+    // Only what helps is proposed: no fields on the timeline, and those of events for events.
+    for (keys, word, proposed) in [("4", "sla", 0), ("6", "pee", 1), ("6", "capa", 0), ("1", "capa", 1)] {
+        let mut stage = Stage::busy(Theme::ASCII);
+        stage.keys(NOW, &format!("{keys}/{word}"));
+        assert_eq!(stage.app.completion().words.len(), proposed, "{word}");
+    }
+}
+
+/// Whatever changes the screen, a line that is typed stays that of the screen on which it was opened.
+#[test]
+fn a_filter_belongs_to_the_screen_on_which_its_line_was_opened() {
+    let mut stage = Stage::busy(Theme::ASCII);
+    stage.keys(NOW, "/hal");
+    stage.app.screen = Screen::Events;
+    stage.keys(NOW, "t");
+    assert_eq!((stage.app.shape.filter.as_str(), stage.app.filter()), ("halt", ""));
+    press(&mut stage, &[KeyCode::Esc]);
+    assert_eq!((stage.app.shape.filter.as_str(), stage.app.filter()), ("", ""));
+}
+
 #[test]
 fn before_a_node_reports_no_name_is_called_wrong() {
     let mut stage = Stage::new(Theme::ASCII);

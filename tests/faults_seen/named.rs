@@ -261,8 +261,7 @@ fn now(scene: &Scene, what: Signal) -> Instant {
 #[test]
 fn the_first_screen_names_the_root_cause_of_each_fault() {
     if !crate::support::is_whole() {
-        // On a busy machine, a finding about the machine may take the line at the bottom of the screen while the fault
-        // is recent.
+        // Three scenes at a time, of several processes each, take both processors for twenty seconds.
         eprintln!("*** SKIPPED: fourteen faults are injected with IMRS_WHOLE=1 only ***");
         return;
     }

@@ -135,6 +135,26 @@ fn typed_lines_outlast_the_monitor() {
     assert_eq!(std::fs::read_to_string(&file).expect("the lines"), ":port beat\n");
 }
 
+/// The theme that the user chose in one run is that of the next one.
+#[test]
+fn a_chosen_theme_outlasts_the_monitor() {
+    let Some((_demo, terminal)) = watched("") else { return };
+    assert!(terminal.has_colour());
+    for (name, has_colour) in [("mono", false), ("contrast", true)] {
+        terminal.keys(&["-l", &format!(":theme {name}")]);
+        terminal.keys(&["Enter"]);
+        terminal.wait_for("the theme", |_| terminal.has_colour() == has_colour);
+        terminal.leave();
+        terminal.start_monitor("");
+        let screen = terminal.press(&["o"], "how the screen looks; remembered");
+        assert!(screen.lines().any(|line| line.contains(&format!("{name} "))), "{name}:\n{screen}");
+        assert_eq!(terminal.has_colour(), has_colour, "{name}");
+        terminal.keys(&["Escape"]);
+        terminal.wait_for("no window", |screen| !screen.contains("how the screen looks"));
+    }
+    terminal.leave();
+}
+
 #[test]
 fn a_screen_is_written_as_text_and_a_recording_exported() {
     if !tmux_is_here() {

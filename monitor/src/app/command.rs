@@ -35,7 +35,7 @@ impl App {
             ("port", name) => self.go_to_port(name),
             ("node" | "task", name) => self.go_to_node(name, now),
             ("explain", word) => self.explain_word(word),
-            ("theme", name) => match Theme::named(name) {
+            ("theme", name) => match theme(name) {
                 Some(theme) => {
                     (self.theme, self.told) = (self.theme.changed_to(theme), None);
                     return Effect::Theme;
@@ -85,7 +85,7 @@ impl App {
                 nearest(name, self.names_of_places()).is_none().then(|| self.not_there("node or task", name))
             }
             ("explain", word) => nearest(word, self.words_explained()).is_none().then(|| no_word(word)),
-            ("theme", name) => Theme::names().iter().all(|known| !known.starts_with(name)).then(no_theme),
+            ("theme", name) => theme(name).is_none().then(no_theme),
             _ => None,
         }
     }
@@ -182,6 +182,11 @@ fn no_word(wanted: &str) -> String {
 fn nearest(wanted: &str, names: Vec<String>) -> Option<String> {
     let exact = names.iter().find(|name| name.eq_ignore_ascii_case(wanted)).cloned();
     exact.or_else(|| fuzzy(wanted, names).into_iter().next()).filter(|_| !wanted.is_empty())
+}
+
+/// The theme that the user means.
+fn theme(wanted: &str) -> Option<Theme> {
+    Theme::named(&nearest(wanted, Theme::names().into_iter().map(str::to_owned).collect())?)
 }
 
 fn no_theme() -> String {

@@ -1,7 +1,7 @@
 //! Completions of the text that the user types, and names that are similar to it.
 
-use super::App;
-use crate::query::FIELDS;
+use super::{App, Screen};
+use crate::query::{FIELDS, Filter, Scope};
 use nucleo_matcher::pattern::{AtomKind, CaseMatching, Normalization, Pattern};
 use nucleo_matcher::{Config, Matcher};
 
@@ -71,14 +71,46 @@ impl App {
         all
     }
 
-    /// The words that a filter's condition may contain: fields, and names.
-    pub(super) fn words_of_filter(&self) -> Vec<String> {
-        let mut all: Vec<String> = FIELDS.iter().map(|info| info.name.to_owned()).collect();
-        all.extend(["and", "or", "not"].map(str::to_owned));
+    /// The words that a filter of a screen may contain: names and, where it may be a condition, fields.
+    pub(super) fn words_of_filter(&self, screen: Screen) -> Vec<String> {
+        let mut all: Vec<String> = Vec::new();
+        if let Some(scope) = scope(screen) {
+            let known = FIELDS.iter().filter(|info| [Scope::Both, scope].contains(&info.scope));
+            all.extend(known.map(|info| info.name.to_owned()));
+            all.extend(["and", "or", "not"].map(str::to_owned));
+        }
         all.extend(self.names_of_places());
         let ports = self.names_of_ports();
         all.extend(ports.into_iter().filter(|name| !name.contains('.')));
         all
+    }
+
+    /// What is wrong with a filter of a screen. Text that is no condition is searched for as it is.
+    pub(super) fn slip_of_filter(&self, screen: Screen, text: &str) -> Option<String> {
+        let parsed = Filter::parse(text);
+        let Some(scope) = scope(screen) else {
+            let is_condition = !parsed.is_ok_and(|filter| filter.is_none_or(|filter| filter.is_words()));
+            let found = self.finds_on_timeline(text);
+            let why = if is_condition { "no condition works here" } else { "nothing has this name" };
+            return (!found).then(|| format!("{why}, so all is shown; write a part of a task, node or port"));
+        };
+        let what = if scope == Scope::Events { "an event" } else { "a row" };
+        match parsed {
+            Ok(filter) => {
+                let field = filter?.foreign(scope)?;
+                Some(format!("{what} has no `{field}`"))
+            }
+            Err(error) => Some(error.to_string()),
+        }
+    }
+}
+
+/// Which rows the conditions of a screen's filter are about; `None` if its filter is only text.
+const fn scope(screen: Screen) -> Option<Scope> {
+    match screen {
+        Screen::Timeline => None,
+        Screen::Events => Some(Scope::Events),
+        _ => Some(Scope::Rows),
     }
 }
 

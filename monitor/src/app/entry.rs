@@ -2,7 +2,7 @@
 //! completions, and errors in it are shown while the user types.
 
 use super::complete::{Completion, word_at};
-use super::{App, Effect};
+use super::{App, Effect, Screen};
 use crate::clock::Moment;
 use crate::query::Filter;
 use crate::typed::{Kind, Typed};
@@ -15,6 +15,8 @@ use tui_input::backend::crossterm::EventHandler as _;
 pub struct Entry {
     /// The purpose of the line.
     pub kind: Kind,
+    /// The screen on which the line was opened, and to which its filter belongs.
+    screen: Screen,
     /// The text of the line, and the cursor.
     pub input: Input,
     /// While the user leafs through the history: how far back, and the text that the user had typed before.
@@ -37,13 +39,27 @@ impl App {
     /// Opens a line. A filter begins with what it is.
     pub(super) fn open_entry(&mut self, kind: Kind) {
         let text = if kind == Kind::Filter { self.filter().to_owned() } else { String::new() };
-        self.entry_line = Some(Entry { kind, input: text.into(), back: None, tried: None });
+        self.type_on(kind, text);
+    }
+
+    fn type_on(&mut self, kind: Kind, text: String) {
+        let screen = self.screen;
+        self.entry_line = Some(Entry { kind, screen, input: text.into(), back: None, tried: None });
+    }
+
+    /// Opens the line for commands, with the word of a command.
+    pub(super) fn open_command(&mut self, word: &str) {
+        let has_more =
+            super::COMMANDS.iter().any(|(usage, _)| usage.split(' ').next() == Some(word) && *usage != word);
+        let text = format!("{word}{}", if has_more { " " } else { "" });
+        self.type_on(Kind::Command, text);
     }
 
     /// Handles a key while the user types a line.
     pub(super) fn typed(&mut self, event: &KeyEvent, now: Moment) -> Effect {
         let Some(entry) = &mut self.entry_line else { return Effect::Nothing };
-        let (kind, ctrl) = (entry.kind, event.modifiers.contains(KeyModifiers::CONTROL));
+        let (kind, screen, ctrl) =
+            (entry.kind, entry.screen, event.modifiers.contains(KeyModifiers::CONTROL));
         if !matches!(event.code, KeyCode::Tab | KeyCode::BackTab) {
             entry.tried = None;
         }
@@ -56,10 +72,10 @@ impl App {
             KeyCode::Esc => {
                 self.entry_line = None;
                 if kind == Kind::Filter {
-                    self.filter_mut().clear();
+                    self.filter_mut(screen).clear();
                 }
             }
-            KeyCode::Enter => return self.enter_line(now),
+            KeyCode::Enter => return self.enter_typed(now),
             KeyCode::Up | KeyCode::Down => self.leaf(event.code == KeyCode::Up),
             KeyCode::Tab | KeyCode::BackTab => self.complete(event.code == KeyCode::Tab),
             _ => {
@@ -81,12 +97,12 @@ impl App {
     /// While the user types a filter, the rows follow it.
     fn apply_filter(&mut self) {
         let text = self.entry_line.as_ref().filter(|entry| entry.kind == Kind::Filter);
-        if let Some(text) = text.map(|entry| entry.input.value().to_owned()) {
-            *self.filter_mut() = text;
+        if let Some((screen, text)) = text.map(|entry| (entry.screen, entry.input.value().to_owned())) {
+            *self.filter_mut(screen) = text;
         }
     }
 
-    fn enter_line(&mut self, now: Moment) -> Effect {
+    fn enter_typed(&mut self, now: Moment) -> Effect {
         let Some(entry) = self.entry_line.take() else { return Effect::Nothing };
         let text = entry.input.value();
         self.typed_before.remember(entry.kind, text);
@@ -94,9 +110,12 @@ impl App {
         match entry.kind {
             Kind::Command => self.run(text.trim(), now),
             Kind::Filter => {
-                // Text that is no condition is searched for as plain words. The message says why it is no condition.
-                let slip = Filter::parse(text).err();
-                self.told = slip.map(|error| format!("no condition, so looked for as it is: {error}"));
+                self.told = self.slip_of_filter(entry.screen, text).map(|slip| match Filter::parse(text) {
+                    Err(_) if entry.screen != Screen::Timeline => {
+                        format!("no condition, so looked for as it is: {slip}")
+                    }
+                    _ => slip,
+                });
                 Effect::Draw
             }
         }
@@ -128,6 +147,24 @@ impl App {
                 (completion, if forward { 0 } else { last })
             }
         };
+        self.put(completion, at);
+    }
+
+    /// Takes one of the completions that are shown.
+    pub(super) fn take_completion(&mut self, at: usize) {
+        self.put(self.completion(), at);
+        self.apply_filter();
+    }
+
+    /// Moves the cursor of the typed line to a place, in characters.
+    pub(super) fn move_cursor(&mut self, at: usize) {
+        if let Some(entry) = &mut self.entry_line {
+            entry.input = entry.input.clone().with_cursor(at);
+        }
+    }
+
+    /// Puts one of the completions in place of the word before the cursor.
+    fn put(&mut self, completion: Completion, at: usize) {
         let Some(word) = completion.words.get(at).cloned() else { return };
         let text = format!("{}{word}{}", completion.before, completion.after);
         let cursor = completion.before.chars().count() + word.chars().count();
@@ -144,7 +181,7 @@ impl App {
         let (before, word, after) = word_at(entry.input.value(), entry.input.cursor());
         let candidates = match entry.kind {
             Kind::Command => self.words_of_command(before),
-            Kind::Filter => self.words_of_filter(),
+            Kind::Filter => self.words_of_filter(entry.screen),
         };
         Completion::new(before, word, after, candidates)
     }
@@ -154,7 +191,7 @@ impl App {
     pub fn slip(&self) -> Option<String> {
         let entry = self.entry_line.as_ref()?;
         match entry.kind {
-            Kind::Filter => Filter::parse(entry.input.value()).err().map(|error| error.to_string()),
+            Kind::Filter => self.slip_of_filter(entry.screen, entry.input.value()),
             Kind::Command => self.slip_of_command(entry.input.value()),
         }
     }

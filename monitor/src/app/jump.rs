@@ -2,6 +2,7 @@
 
 use super::{App, Screen};
 use crate::clock::Moment;
+use crate::keys::Action;
 use crate::rows::Row;
 use crate::store::health::Place;
 use crate::store::journal::Severity;
@@ -13,6 +14,32 @@ impl App {
             Some(blocker) => self.go_to(blocker.place, now),
             None => self.told = Some("no single blocker".to_owned()),
         }
+    }
+
+    /// Whether the cursor is on the banner.
+    #[must_use]
+    pub const fn is_on_banner(&self) -> bool {
+        self.on_banner
+    }
+
+    /// Selects the row above; above the first row, the banner if it leads to a place.
+    pub(super) fn step_up(&mut self, now: Moment) {
+        let before = self.line(now);
+        self.step(-1, now);
+        let has_banner = self.drawn.screen == self.screen && self.drawn.banner.is_some();
+        self.on_banner = has_banner && self.line(now) == before;
+    }
+
+    /// Carries out the actions that are different while the cursor is on the banner. Returns whether this is one of them.
+    pub(super) fn act_on_banner(&mut self, action: Action, now: Moment) -> bool {
+        match (action, self.drawn.banner) {
+            (Action::Up, _) => self.on_banner = true,
+            // The first row is still the selected one.
+            (Action::Down, _) => {}
+            (Action::Enter, Some(place)) => self.go_to(place, now),
+            _ => return false,
+        }
+        true
     }
 
     /// Selects a place in the overview. Changes the settings that hide its row.

@@ -6,7 +6,7 @@ use super::slices::{folded, slices};
 use super::{App, Screen};
 use crate::name::Name;
 use crate::store::timeline::{Mark, Timeline, timeline};
-use crate::store::{IncarnationId, NodeIncarnation};
+use crate::store::{IncarnationId, Names, NodeIncarnation};
 use imrs_protocol::{Event, NodeId, PortId, TaskId};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
@@ -182,30 +182,24 @@ impl App {
     /// The tasks whose name or node contains the filter's text; all tasks if none does.
     fn wanted_lanes(&self, cell: &Name) -> Vec<TaskId> {
         let Some(names) = self.store().names(cell) else { return Vec::new() };
-        let all = || (0..names.tasks.len()).map(TaskId::from_index);
-        let text = self.lane_filter.to_lowercase();
-        if text.is_empty() {
-            return all().collect();
-        }
-        let has = |name: &Name| name.shown().to_lowercase().contains(&text);
-        let wanted = |task: &TaskId| {
-            has(&names.task(*task)) || names.home(*task).is_some_and(|node| has(&names.node(node)))
-        };
-        let found: Vec<_> = all().filter(wanted).collect();
-        if found.is_empty() { all().collect() } else { found }
+        let found = tasks_with(names, &self.lane_filter);
+        if found.is_empty() { (0..names.tasks.len()).map(TaskId::from_index).collect() } else { found }
     }
 
     /// The ports whose name contains the filter's text, if it matches no task and no node.
     fn wanted_ports(&self, cell: &Name) -> Option<BTreeSet<PortId>> {
         let names = self.store().names(cell)?;
-        let filter = &self.lane_filter.to_lowercase();
-        let has = |name: &Name| name.shown().to_lowercase().contains(filter);
-        if filter.is_empty() || names.tasks.iter().any(|t| has(&t.name)) || names.nodes.iter().any(has) {
+        if !tasks_with(names, &self.lane_filter).is_empty() {
             return None;
         }
-        let all = (0..names.ports.len()).map(PortId::from_index);
-        let found: BTreeSet<_> = all.filter(|port| has(&names.port_name(*port))).collect();
+        let found = ports_with(names, &self.lane_filter);
         (!found.is_empty()).then_some(found)
+    }
+
+    /// Whether a text is a filter of the timeline: a task, a node or a port contains it.
+    pub(super) fn finds_on_timeline(&self, text: &str) -> bool {
+        let names = self.cell().and_then(|cell| self.store().names(&cell));
+        names.is_none_or(|names| !tasks_with(names, text).is_empty() || !ports_with(names, text).is_empty())
     }
 
     /// The latest incarnation of the node on which a task of the shown cell runs.
@@ -226,6 +220,12 @@ impl App {
     pub(super) fn zoom(&mut self, closer: bool) {
         let to = if closer { self.lanes.zoom.saturating_sub(1) } else { self.lanes.zoom + 1 };
         self.lanes.zoom = to.min(ZOOMS.len() - 1);
+    }
+
+    /// Whether a row of the timeline covers the most time.
+    #[must_use]
+    pub const fn is_widest(&self) -> bool {
+        self.lanes.zoom + 1 >= ZOOMS.len()
     }
 
     pub(super) fn step_chart(&mut self, by: isize) {
@@ -249,6 +249,10 @@ impl App {
         while chart.mark(to).is_none() && to > 0 && to < last {
             to = if back { to - 1 } else { to + 1 };
         }
+        // Before the first row with marks there is none to stay at, and the last row would be followed.
+        if back && chart.mark(to).is_none() {
+            to = (to..=last).find(|&row| chart.mark(row).is_some()).unwrap_or(last);
+        }
         self.lanes.held = chart.mark(to).map(Anchor::of).filter(|_| to < last);
     }
 
@@ -264,6 +268,20 @@ impl App {
     pub(super) fn follow_chart(&mut self) {
         self.lanes.held = None;
     }
+}
+
+/// The tasks whose name, or whose node's name, contains a text.
+fn tasks_with(names: &Names, text: &str) -> Vec<TaskId> {
+    let has = |name: &Name| name.shown().to_lowercase().contains(&text.to_lowercase());
+    let all = (0..names.tasks.len()).map(TaskId::from_index);
+    let home = |task| names.home(task).is_some_and(|node| has(&names.node(node)));
+    all.filter(|task| has(&names.task(*task)) || home(*task)).collect()
+}
+
+/// The ports whose name contains a text.
+fn ports_with(names: &Names, text: &str) -> BTreeSet<PortId> {
+    let has = |name: &Name| name.shown().to_lowercase().contains(&text.to_lowercase());
+    (0..names.ports.len()).map(PortId::from_index).filter(|port| has(&names.port_name(*port))).collect()
 }
 
 /// Whether the event is routine traffic. If such events are hidden, rendezvous and faults are visible on a busy timeline.

@@ -28,7 +28,7 @@ impl App {
         chosen.unwrap_or(self.scroll).min(rows.len().saturating_sub(1))
     }
 
-    fn all_problems(&self, now: Moment) -> Vec<Problem> {
+    pub(super) fn all_problems(&self, now: Moment) -> Vec<Problem> {
         self.problems(&self.findings(now), &self.blockers(now), now)
     }
 
@@ -55,6 +55,15 @@ impl App {
                 self.entry = near.message;
             }
             Problem::Finding { finding, .. } => self.go_to_finding(finding, now),
+        }
+    }
+
+    /// Opens the screen for the most severe finding that the shown page explains.
+    pub(super) fn enter_page(&mut self, now: Moment) {
+        let findings = self.findings(now);
+        match findings.iter().find(|finding| Some(finding.code) == self.explained) {
+            Some(finding) => self.go_to_finding(finding, now),
+            None => self.told = Some("this cell has no such finding now".to_owned()),
         }
     }
 
@@ -103,7 +112,7 @@ impl App {
                 match rows.get(self.problem(&rows)) {
                     Some(Problem::Finding { finding, .. }) => Some(finding.code),
                     Some(Problem::Message(_)) => Some("deadline-risk"),
-                    Some(Problem::Block(_)) => Some("rendezvous-stuck"),
+                    Some(Problem::Block(blocker)) => Some(blocker.code),
                     None => None,
                 }
             }

@@ -85,17 +85,17 @@ impl App {
     }
 
     /// The index of the selected line of the screen's list.
-    pub(super) fn line(&self) -> Option<usize> {
+    pub(super) fn line(&self, now: Moment) -> usize {
         match self.screen {
-            Screen::Timeline => {
-                let chart = self.chart();
-                chart.held.then_some(chart.bottom)
-            }
+            Screen::Overview => self.selected(&self.rows(&self.findings(now), now)),
+            Screen::Port => self.entry(&self.queue(now)),
+            Screen::Problems => self.problem(&self.all_problems(now)),
+            Screen::Timeline => self.chart().bottom,
             Screen::Events => {
-                let held = self.held?;
-                self.events().iter().rposition(|event| event.number <= held)
+                let held = self.held.unwrap_or(u64::MAX);
+                self.events().iter().rposition(|event| event.number <= held).unwrap_or(0)
             }
-            _ => Some(self.scroll),
+            _ => self.scroll,
         }
     }
 
@@ -128,10 +128,9 @@ impl App {
         }
     }
 
-    /// The filter that the user changes: that of the timeline or the event screen if it is shown, otherwise that of the
-    /// overview.
-    pub(super) const fn filter_mut(&mut self) -> &mut String {
-        match self.screen {
+    /// The filter of a screen: that of the timeline or the events, otherwise that of the overview.
+    pub(super) const fn filter_mut(&mut self, screen: Screen) -> &mut String {
+        match screen {
             Screen::Timeline => &mut self.lane_filter,
             Screen::Events => &mut self.event_filter,
             _ => &mut self.shape.filter,

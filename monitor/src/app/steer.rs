@@ -6,9 +6,6 @@ use crate::keys::Action;
 use crate::replay::{At, Player, Ribbon};
 use crate::rows::Sort;
 use crate::store::health::Place;
-use crate::store::journal::What;
-use crate::store::message::{MessageKey, key_of};
-use crate::store::trail::Seen;
 use imrs_protocol::Usage;
 use std::sync::Arc;
 
@@ -20,6 +17,9 @@ impl App {
         }
         if self.frozen.is_some() && is_winding(action) {
             self.go_back(action, now);
+            return Effect::Draw;
+        }
+        if std::mem::take(&mut self.on_banner) && self.act_on_banner(action, now) {
             return Effect::Draw;
         }
         match action {
@@ -63,9 +63,7 @@ impl App {
             Action::NextError | Action::PreviousError => self.jump_to_error(action == Action::NextError),
             Action::Settings => self.toggle_settings(),
             Action::Back => self.back(),
-            Action::Enter if self.screen == Screen::Settings => return self.change_setting(now),
-            Action::Enter if self.screen == Screen::Problems => self.enter_problem(now),
-            Action::Enter => self.enter(now),
+            Action::Enter => return self.enter(now),
             Action::Explain => self.explain(now),
             Action::Left | Action::Right if self.screen == Screen::Port => {
                 self.turn(action == Action::Right);
@@ -74,7 +72,7 @@ impl App {
                 self.next_lane(action == Action::Right);
             }
             Action::Left | Action::Right => self.fold(action == Action::Left, now),
-            Action::Up => self.step(-1, now),
+            Action::Up => self.step_up(now),
             Action::Down => self.step(1, now),
             Action::PageUp => self.step(-self.page(), now),
             Action::PageDown => self.step(self.page(), now),
@@ -165,7 +163,7 @@ impl App {
         self.history.verdicts(player.moment()).for_each(|verdict| player.add(verdict));
     }
 
-    fn show(&mut self, screen: Screen) {
+    pub(super) fn show(&mut self, screen: Screen) {
         if self.screen == Screen::Help && screen == Screen::Help {
             self.screen = self.before;
         } else if screen != self.screen {
@@ -189,7 +187,7 @@ impl App {
         if self.screen == Screen::Settings {
             self.toggle_settings();
         } else if !self.filter().is_empty() {
-            self.filter_mut().clear();
+            self.filter_mut(self.screen).clear();
         } else if self.screen != Screen::Overview {
             self.screen = match self.screen {
                 Screen::Help => self.before,
@@ -214,7 +212,7 @@ impl App {
         self.drawn.page.max(1).cast_signed()
     }
 
-    fn fold(&mut self, hide: bool, now: Moment) {
+    pub(super) fn fold(&mut self, hide: bool, now: Moment) {
         let rows = self.rows(&self.findings(now), now);
         let Some(row) = rows.get(self.selected(&rows)).copied() else { return };
         if row.open == hide && row.parent {
@@ -224,71 +222,6 @@ impl App {
         } else if hide {
             let parent = Place { task: row.place.task.filter(|_| row.depth == 2), port: None, ..row.place };
             self.selected = Some(parent);
-        }
-    }
-
-    fn enter(&mut self, now: Moment) {
-        if matches!(self.screen, Screen::Rendezvous | Screen::Timers | Screen::Model | Screen::Message) {
-            let known = self.drawn.screen == self.screen;
-            let line = self.scroll.min(self.drawn.lines.saturating_sub(1));
-            match self.drawn.places.get(line).copied().flatten().filter(|_| known) {
-                Some(place) => self.go_to(place, now),
-                None => self.told = Some("this row is of no node or task".to_owned()),
-            }
-            return;
-        }
-        if self.screen != Screen::Overview {
-            match self.message_here(now) {
-                Some(key) => {
-                    (self.message, self.chosen_on) = (Some(key), self.screen);
-                    self.show(Screen::Message);
-                }
-                None => self.told = Some("this row is of no message".to_owned()),
-            }
-            return;
-        }
-        let rows = self.rows(&self.findings(now), now);
-        let Some(row) = rows.get(self.selected(&rows)).copied() else { return };
-        self.selected = Some(row.place);
-        match port_end(row.place) {
-            Some(end) if self.is_waitfor(end) => self.show(Screen::Rendezvous),
-            Some(_) => self.show(Screen::Port),
-            None => self.fold(row.open, now),
-        }
-    }
-
-    /// The message that the selected row is about.
-    fn message_here(&self, now: Moment) -> Option<MessageKey> {
-        match self.screen {
-            Screen::Port => {
-                let end = self.port(&self.queues())?;
-                let queue = self.queue(now);
-                let entry = queue.get(self.entry(&queue))?.entry;
-                Some(MessageKey { source: entry.source, port: end.port, number: entry.id.sequence.get() })
-            }
-            Screen::Timeline => {
-                let chart = self.chart();
-                key_of(&chart.mark(chart.bottom)?.seen)
-            }
-            Screen::Events => {
-                let lines = self.events();
-                let held = self.held.unwrap_or(u64::MAX);
-                match &lines.iter().rfind(|e| e.number <= held)?.what {
-                    What::Observed { task, observation } => {
-                        key_of(&Seen { mono_us: 0, task: *task, what: *observation })
-                    }
-                    What::Noticed { .. } => None,
-                }
-            }
-            Screen::Message => self.message,
-            Screen::Overview
-            | Screen::Rendezvous
-            | Screen::Timers
-            | Screen::Model
-            | Screen::Problems
-            | Screen::Explain
-            | Screen::Settings
-            | Screen::Help => None,
         }
     }
 
@@ -326,7 +259,7 @@ impl App {
         self.told = Some(format!("marked at {}; d shows what has changed since", Span(at)));
     }
 
-    fn is_waitfor(&self, end: PortEnd) -> bool {
+    pub(super) fn is_waitfor(&self, end: PortEnd) -> bool {
         let view = self.store().incarnation(end.incarnation).and_then(|l| l.port(end.task, end.port));
         view.is_some_and(|v| v.usage == Usage::Waitfor)
     }
@@ -361,12 +294,9 @@ impl App {
             | Screen::Explain
             | Screen::Settings
             | Screen::Help => {
-                // Before the screen was drawn, its number of lines is unknown; drawing then limits the position. In a text the
-                // first shown line moves, in a list the selected line.
+                // Before the screen was drawn, its number of lines is unknown; drawing then limits the position.
                 let known = self.drawn.screen == self.screen;
-                let is_text = matches!(self.screen, Screen::Explain | Screen::Help);
-                let beside = if is_text { self.drawn.page } else { 1 };
-                let most = if known { self.drawn.lines.saturating_sub(beside) } else { usize::MAX };
+                let most = if known { self.drawn.lines.saturating_sub(1) } else { usize::MAX };
                 self.scroll = self.scroll.min(most).saturating_add_signed(by).min(most);
             }
         }

@@ -22,6 +22,17 @@ pub enum Kind {
     Text,
 }
 
+/// The rows that have a field.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scope {
+    /// The rows of the overview: nodes, tasks and ports.
+    Rows,
+    /// The events.
+    Events,
+    /// Both.
+    Both,
+}
+
 /// The description of a field.
 #[derive(Clone, Copy, Debug)]
 pub struct FieldInfo {
@@ -31,12 +42,14 @@ pub struct FieldInfo {
     pub name: &'static str,
     /// The type of the field.
     pub kind: Kind,
+    /// The rows that have the field.
+    pub scope: Scope,
     /// The meaning of the field.
     pub help: &'static str,
 }
 
 macro_rules! fields {
-    ($($field:ident $name:literal $kind:ident $help:literal;)*) => {
+    ($($field:ident $name:literal $kind:ident $scope:ident $help:literal;)*) => {
         /// A field of a row, on which a condition can depend.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         pub enum Field {
@@ -48,42 +61,43 @@ macro_rules! fields {
             field: Field::$field,
             name: $name,
             kind: Kind::$kind,
+            scope: Scope::$scope,
             help: $help,
         },)*];
     };
 }
 
 fields! {
-    Cell "cell" Text "the cell";
-    Node "node" Text "the node";
-    Task "task" Text "the task";
-    Port "port" Text "the port";
-    State "state" Text "what the task does: run, receive ..., reply ..., waitfor ..., delay, ended, crashed";
-    Usage "usage" Text "what the task does with the port: send, receive, query, response, reply, waitfor";
-    Health "health" Text "ok, note, warning, critical";
-    Code "code" Text "what is wrong with the row: the code of `imrs explain`";
-    Class "class" Number "1: status, 2: command";
-    Len "len" Number "messages that wait";
-    Capacity "capacity" Number "messages that may wait";
-    Fill "fill" Number "how full the buffer is, in percent";
-    Slack "slack" Time "remaining time of the most urgent message";
-    Rate "rate" Number "messages a second, lately";
-    Sent "sent" Number "messages sent, or waitfors reached";
-    Resent "resent" Number "copies sent again";
-    Enqueued "enqueued" Number "messages that arrived";
-    Delivered "delivered" Number "messages taken, or waitfors released";
-    Expired "expired" Number "messages that expired here";
-    Refused "refused" Number "messages that found no space";
-    Evicted "evicted" Number "messages dropped for space";
-    Rejected "rejected" Number "times that a message was rejected by rank";
-    Duplicates "duplicates" Number "copies of messages seen before";
-    TimedOut "timed_out" Number "requests that ended by time_out";
-    Dropped "dropped" Number "other drops";
-    Service "service" Time "how long a message takes once it is its turn, 99th percentile";
-    Kind "kind" Text "of an event: sent, delivered, discard, ...";
-    Peer "peer" Text "of an event: the other task";
-    Number "number" Number "of an event: the message or round";
-    Ago "ago" Time "of an event: how long before the newest";
+    Cell "cell" Text Both "the cell";
+    Node "node" Text Both "the node";
+    Task "task" Text Both "the task";
+    Port "port" Text Both "the port";
+    State "state" Text Rows "what the task does: run, receive ..., reply ..., waitfor ..., delay, ended, crashed";
+    Usage "usage" Text Rows "what the task does with the port: send, receive, query, response, reply, waitfor";
+    Health "health" Text Both "ok, note, warning, critical";
+    Code "code" Text Rows "what is wrong with the row: the code of `imrs explain`";
+    Class "class" Number Both "1: status, 2: command";
+    Len "len" Number Rows "messages that wait";
+    Capacity "capacity" Number Rows "messages that may wait";
+    Fill "fill" Number Rows "how full the buffer is, in percent";
+    Slack "slack" Time Both "remaining time of the most urgent message";
+    Rate "rate" Number Rows "messages a second, lately";
+    Sent "sent" Number Rows "messages sent, or waitfors reached";
+    Resent "resent" Number Rows "copies sent again";
+    Enqueued "enqueued" Number Rows "messages that arrived";
+    Delivered "delivered" Number Rows "messages taken, or waitfors released";
+    Expired "expired" Number Rows "messages that expired here";
+    Refused "refused" Number Rows "messages that found no space";
+    Evicted "evicted" Number Rows "messages dropped for space";
+    Rejected "rejected" Number Rows "times that a message was rejected by rank";
+    Duplicates "duplicates" Number Rows "copies of messages seen before";
+    TimedOut "timed_out" Number Rows "requests that ended by time_out";
+    Dropped "dropped" Number Rows "other drops";
+    Service "service" Time Rows "how long a message takes once it is its turn, 99th percentile";
+    Kind "kind" Text Events "of an event: sent, delivered, discard, ...";
+    Peer "peer" Text Events "of an event: the other task";
+    Number "number" Number Events "of an event: the message or round";
+    Ago "ago" Time Events "of an event: how long before the newest";
 }
 
 /// The field with this name or alias.

@@ -18,7 +18,7 @@ mod fields;
 mod parse;
 
 pub use assertion::{Assertion, Held};
-pub use fields::{EventRow, FIELDS, Field, FieldInfo, Kind, NodeRow, PortRow, Row};
+pub use fields::{EventRow, FIELDS, Field, FieldInfo, Kind, NodeRow, PortRow, Row, Scope};
 pub use parse::QueryError;
 
 use std::borrow::Cow;
@@ -85,6 +85,19 @@ impl<T> Condition<T> {
     }
 }
 
+impl<T: Copy> Condition<T> {
+    /// Adds what the condition compares.
+    fn operands(&self, found: &mut Vec<T>) {
+        match self {
+            Self::And(all) | Self::Or(all) => all.iter().for_each(|one| one.operands(found)),
+            Self::Not(one) => one.operands(found),
+            Self::Compare(left, ..) => found.push(*left),
+            Self::Against(left, _, right) => found.extend([*left, *right]),
+            Self::Words(_) => {}
+        }
+    }
+}
+
 /// The right side of a comparison.
 enum Right<'a, T> {
     Value(&'a Value<'static>),
@@ -117,6 +130,16 @@ impl Filter {
     #[must_use]
     pub const fn is_words(&self) -> bool {
         matches!(self.0, Condition::Words(_))
+    }
+
+    /// The first field of the filter that rows of this scope do not have: `fill` of an event.
+    #[must_use]
+    pub fn foreign(&self, scope: Scope) -> Option<&'static str> {
+        let mut fields = Vec::new();
+        self.0.operands(&mut fields);
+        let used =
+            |info: &&FieldInfo| ![Scope::Both, scope].contains(&info.scope) && fields.contains(&info.field);
+        FIELDS.iter().find(used).map(|info| info.name)
     }
 
     /// Whether `row` matches the filter.

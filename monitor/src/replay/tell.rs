@@ -3,6 +3,7 @@
 use super::Player;
 use crate::name::shown_line;
 use crate::store::{NodeIncarnation, Presence};
+use imrs_protocol::TaskId;
 use imrs_wire::recording::Story;
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -107,7 +108,7 @@ fn happened(player: &Player) -> String {
     for text in player.step().map_or(&[][..], |step| &step.happened) {
         let _ = writeln!(out, "  happened: {}", shown_line(text));
     }
-    for text in tasks(player) {
+    for (_, text) in tasks(player) {
         let _ = writeln!(out, "  {text}");
     }
     out
@@ -138,7 +139,7 @@ fn queues(player: &Player) -> String {
 }
 
 /// The activity of each task after the shown step, with the line of its statement.
-pub(crate) fn tasks(player: &Player) -> impl Iterator<Item = String> {
+pub(crate) fn tasks(player: &Player) -> impl Iterator<Item = (TaskId, String)> {
     let names = player
         .store()
         .incarnations()
@@ -148,7 +149,7 @@ pub(crate) fn tasks(player: &Player) -> impl Iterator<Item = String> {
     player.step().map_or(&[][..], |step| &step.tasks).iter().map(move |doing| {
         let name = names.map_or_else(String::new, |names| names.task(doing.task).to_string());
         let line = doing.line.map_or_else(String::new, |line| format!(", line {line}"));
-        format!("{name}{line}: {}", shown_line(&doing.text))
+        (doing.task, format!("{name}{line}: {}", shown_line(&doing.text)))
     })
 }
 

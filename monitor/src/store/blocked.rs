@@ -2,7 +2,7 @@
 //! says which findings are only consequences of a block.
 
 use super::cuts::cuts;
-use super::health::{Finding, Place};
+use super::health::{Finding, Place, codes};
 use super::journal::Severity;
 use super::meeting::doing;
 use super::rounds::history;
@@ -40,6 +40,8 @@ pub enum Kind {
 pub struct Blocker {
     /// The kind of the block.
     pub kind: Kind,
+    /// The code of the page that explains the cause of the block.
+    pub code: &'static str,
     /// The severity of the block. [`Severity::Note`] means that the wait is not longer than usual.
     pub level: Severity,
     /// The tasks that cause the block. There are several if the same tasks wait for each of them.
@@ -196,6 +198,7 @@ impl Look<'_> {
         let more = if tasks.len() > 2 { format!(" +{}", tasks.len() - 2) } else { String::new() };
         has_settled.then(|| Blocker {
             kind: Kind::Awaited,
+            code: self.code_of_wait(awaited),
             level,
             place: self.task_place(awaited.task),
             name: few.join(", ") + &more,
@@ -206,6 +209,28 @@ impl Look<'_> {
             waited_us: wait.waited_us,
             usual_us,
         })
+    }
+
+    /// The page about a wait: about the end of the awaited task or its node, otherwise about this kind of wait.
+    fn code_of_wait(&self, awaited: &Awaited) -> &'static str {
+        let node = self.names.home(awaited.task);
+        let incarnation = node.and_then(|node| self.store.latest(self.cell, node));
+        let Some(incarnation) = incarnation else {
+            let is_killed = node.is_some_and(|node| self.is_killed(node));
+            return if is_killed { codes::NODE_DEAD.code } else { codes::NODE_MISSING.code };
+        };
+        let is_rendezvous = self.names.port(awaited.wait.port).is_some_and(|port| port.is_waitfor());
+        let liveness = incarnation.task(awaited.task).map(|task| task.liveness);
+        match (incarnation.presence(self.now), liveness) {
+            (Presence::Dead(_), _) => codes::NODE_DEAD.code,
+            (Presence::Silent(_), _) => codes::NODE_SILENT.code,
+            (_, Some(Liveness::Crashed)) => codes::TASK_CRASHED.code,
+            (Presence::Stopped(_), _) | (_, Some(Liveness::Ended)) if is_rendezvous => {
+                codes::LOST_MEMBER.code
+            }
+            _ if is_rendezvous => codes::RENDEZVOUS_STUCK.code,
+            _ => codes::TIME_OUTS.code,
+        }
     }
 
     /// The cut links, one for both directions.
@@ -221,6 +246,7 @@ impl Look<'_> {
             }
             found.push(Blocker {
                 kind: Kind::Cut,
+                code: codes::LINK_CUT.code,
                 level: Severity::Bad,
                 tasks: Vec::new(),
                 place: self.place(cut.to.node_id, None),
@@ -251,6 +277,7 @@ impl Look<'_> {
         let few: Vec<String> = tasks.iter().take(3).map(|task| self.title(*task)).collect();
         Some(Blocker {
             kind: Kind::Cycle,
+            code: codes::WAIT_CYCLE.code,
             level: Severity::Bad,
             tasks: tasks.to_vec(),
             place: self.task_place(first),
@@ -303,6 +330,7 @@ impl Look<'_> {
         let here = all.filter(|task| place.task.map_or(self.names.home(*task) == node, |one| one == *task));
         Blocker {
             kind: Kind::Lost,
+            code: if place.task.is_some() { codes::TASK_CRASHED.code } else { codes::NODE_DEAD.code },
             level: Severity::Bad,
             tasks: here.collect(),
             place,

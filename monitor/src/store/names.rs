@@ -29,6 +29,12 @@ pub struct PortInfo {
 }
 
 impl PortInfo {
+    /// Whether the port is a rendezvous.
+    #[must_use]
+    pub fn is_waitfor(&self) -> bool {
+        self.parties.first().is_some_and(|party| party.usage == Usage::Waitfor)
+    }
+
     /// The time_out of `task` on this port: the TTL of a new message.
     #[must_use]
     pub fn time_out(&self, task: TaskId) -> Option<Ticks> {
@@ -66,7 +72,6 @@ impl Names {
             margin: p.margin,
             parties: p.parties,
         };
-        let meets = |port: &PortInfo| port.parties.first().is_some_and(|p| p.usage == Usage::Waitfor);
         let ports: Vec<PortInfo> = table.ports.into_iter().map(port).collect();
         Self {
             cell: Name::new(&table.cell),
@@ -74,7 +79,7 @@ impl Names {
             nodes: table.nodes.iter().map(|n| Name::new(&n.name)).collect(),
             links: table.links,
             tasks: table.tasks.iter().map(|t| TaskInfo { name: Name::new(&t.name), node: t.node }).collect(),
-            meetings: (0..ports.len()).filter(|&i| meets(&ports[i])).map(PortId::from_index).collect(),
+            meetings: (0..ports.len()).filter(|&i| ports[i].is_waitfor()).map(PortId::from_index).collect(),
             ports,
         }
     }

@@ -7,7 +7,7 @@ use crate::drawn::Hit;
 use crate::name::Name;
 use crate::store::Names;
 use crate::store::blocked::{Blocker, Kind};
-use crate::store::health::{Finding, held_back_sentence};
+use crate::store::health::{Finding, Place, held_back_sentence};
 use crate::store::journal::Severity;
 use crate::theme::Ink;
 
@@ -29,12 +29,16 @@ pub(super) fn draw(
     let Some(names) = app.store().names(&cell) else { return };
     let Some(first) = blockers.first() else {
         let (text, ink) = match held_back(app, &cell, now) {
-            Some(text) => (text, Ink::Warn),
+            Some((text, place)) => {
+                canvas.drawn.banner = Some(place);
+                (text, Ink::Warn)
+            }
             // A block is shown only after half a second, but its findings already show that the cell is not well.
             None if findings.iter().any(|finding| finding.level == Severity::Bad) => return,
             None => (" no single blocker".to_owned(), Ink::Dim),
         };
         canvas.line(0, &[(text.as_str(), ink)]);
+        leads_there(app, canvas);
         return;
     };
     let ink = ink(first.level);
@@ -46,7 +50,18 @@ pub(super) fn draw(
     if ink == Ink::Alarm {
         canvas.at(end, 0, width, &" ".repeat(width.saturating_sub(end).into()), ink);
     }
-    canvas.target(0, 0, width, Hit::Place(first.place));
+    canvas.drawn.banner = Some(first.place);
+    leads_there(app, canvas);
+}
+
+/// Makes the banner a target if it leads to a place, and shows the cursor if it is there.
+fn leads_there(app: &App, canvas: &mut Canvas<'_>) {
+    let Some(place) = canvas.drawn.banner else { return };
+    canvas.target(0, 0, canvas.area.width, Hit::Place(place));
+    if app.is_on_banner() {
+        canvas.cursor(0);
+        canvas.drawn.is_on_banner = true;
+    }
 }
 
 const fn ink(level: Severity) -> Ink {
@@ -100,10 +115,11 @@ fn forms(blocker: &Blocker, names: &Names, others: usize) -> Vec<String> {
     ]
 }
 
-/// The text about the restarted node whose scripts are held back longest.
-fn held_back(app: &App, cell: &Name, now: Moment) -> Option<String> {
+/// The text about the restarted node whose scripts are held back longest, and its place.
+fn held_back(app: &App, cell: &Name, now: Moment) -> Option<(String, Place)> {
     let up = app.store().present(cell).filter(|incarnation| !incarnation.presence(now).is_gone());
     let held = up.filter_map(|incarnation| Some((incarnation.longest_held_back(now)?, incarnation)));
     let (us, incarnation) = held.max_by_key(|(us, _)| *us)?;
-    Some(format!(" {} {}", incarnation.node, held_back_sentence(us)))
+    let place = Place { node: Ok(incarnation.id), task: None, port: None };
+    Some((format!(" {} {}", incarnation.node, held_back_sentence(us)), place))
 }

@@ -7,6 +7,7 @@ use crate::drawn::Hit;
 use crate::name::Name;
 use crate::store::conformance::{Verdict, conformance};
 use crate::store::cuts::cuts;
+use crate::store::health::Place;
 use crate::store::{Measured, Presence};
 use crate::theme::Ink;
 use imrs_protocol::NodeId;
@@ -25,9 +26,12 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let width = verdict.iter().map(|(text, _)| columns(text)).fold(0, u16::saturating_add);
     let room = canvas.area.width.saturating_sub(width);
     let mut x = 0;
-    for (text, ink) in links(app, &cell, now) {
+    for (text, ink, place) in links(app, &cell, now) {
         canvas.explain(x, 0, &text);
+        let start = x;
         x = canvas.at(x, 0, room.saturating_sub(x), &text, ink);
+        // What is said of all links is explained by the word before it.
+        canvas.target(start, 0, x - start, place.map_or(Hit::Column("links"), Hit::Place));
     }
     let start = x;
     // The label explains itself, and the verdict leads to its screen.
@@ -39,7 +43,8 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
 }
 
 /// For each link: whether it is active, for how long it has been quiet, or that a node at one of its ends is down.
-fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink)> {
+/// Each comes with the place to which a click leads: the node at the end that is in trouble, otherwise at its first end.
+fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink, Option<Place>)> {
     let store = app.store();
     let Some(names) = store.names(cell) else { return Vec::new() };
     let gone = |node| store.latest(cell, node).is_some_and(|incarnation| incarnation.presence(now).is_gone());
@@ -48,33 +53,47 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink)> {
         None => store.is_said_to_have_stopped(cell, node),
     };
     let cuts = cuts(store, cell, now);
-    let is_cut = |a, b| cuts.iter().any(|cut| [(a, b), (b, a)].contains(&(cut.from.node_id, cut.to.node_id)));
+    // The end at which nothing arrives.
+    let cut_at = |a, b| {
+        let found = cuts.iter().find(|cut| [(a, b), (b, a)].contains(&(cut.from.node_id, cut.to.node_id)));
+        found.map(|cut| cut.to.node_id)
+    };
     let is_faulty =
         |a, b| measured(app, cell, [(a, b), (b, a)], now).iter().any(|link| link.report.integrity.is_faulty);
-    let mut pieces = vec![(" links".to_owned(), Ink::Dim)];
+    let mut pieces = vec![(" links".to_owned(), Ink::Dim, None)];
     let mut unknown = 0;
     for link in names.links.iter().take(SHOWN) {
         let name = format!(" {}-{} ", names.node(link.a), names.node(link.b));
-        let heard = [(link.a, link.b), (link.b, link.a)].map(|(at, peer)| heard(app, cell, at, peer, now));
-        match heard.into_iter().flatten().min() {
-            _ if stopped(link.a) || stopped(link.b) => pieces.push((format!("{name}STOPPED"), Ink::Dim)),
-            _ if gone(link.a) || gone(link.b) => pieces.push((format!("{name}DOWN"), Ink::Warn)),
-            _ if is_cut(link.a, link.b) => pieces.push((format!("{name}CUT"), Ink::Bad)),
-            _ if is_faulty(link.a, link.b) => pieces.push((format!("{name}FAULTY"), Ink::Bad)),
+        let ends = [(link.a, link.b), (link.b, link.a)];
+        let heard = ends.map(|(at, peer)| heard(app, cell, at, peer, now));
+        let (text, ink) = match heard.into_iter().flatten().min() {
+            _ if stopped(link.a) || stopped(link.b) => ("STOPPED".to_owned(), Ink::Dim),
+            _ if gone(link.a) || gone(link.b) => ("DOWN".to_owned(), Ink::Warn),
+            _ if cut_at(link.a, link.b).is_some() => ("CUT".to_owned(), Ink::Bad),
+            _ if is_faulty(link.a, link.b) => ("FAULTY".to_owned(), Ink::Bad),
             Some(us) if us <= LATELY_US => {
-                let (delay, ink) = delay(app, cell, [(link.a, link.b), (link.b, link.a)], now);
-                pieces.push((format!("{name}ok{delay}"), ink));
+                let (delay, ink) = delay(app, cell, ends, now);
+                (format!("ok{delay}"), ink)
             }
             // Without traffic a link is quiet, which is no fault.
-            Some(us) => pieces.push((format!("{name}quiet {}", Span::micros(us).in_seconds()), Ink::Dim)),
-            None => unknown += 1,
-        }
+            Some(us) => (format!("quiet {}", Span::micros(us).in_seconds()), Ink::Dim),
+            None => {
+                unknown += 1;
+                continue;
+            }
+        };
+        let is_ended = |node| stopped(node) || gone(node);
+        let ended = [link.a, link.b].into_iter().find(|node| is_ended(*node));
+        let node = ended.or_else(|| cut_at(link.a, link.b)).unwrap_or(link.a);
+        let incarnation = store.latest(cell, node).map(|incarnation| incarnation.id);
+        let place = Place { node: incarnation.ok_or(node), task: None, port: None };
+        pieces.push((name + &text, ink, Some(place)));
     }
     if unknown > 0 {
-        pieces.push((format!("  {unknown} unknown"), Ink::Dim));
+        pieces.push((format!("  {unknown} unknown"), Ink::Dim, None));
     }
     if names.links.len() > SHOWN {
-        pieces.push((format!("  {} more", names.links.len() - SHOWN), Ink::Dim));
+        pieces.push((format!("  {} more", names.links.len() - SHOWN), Ink::Dim, None));
     }
     pieces
 }

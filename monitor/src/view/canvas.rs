@@ -1,6 +1,7 @@
 //! Draws text into a part of a buffer. Text is clipped at the edges, and no size causes a panic.
 
 use crate::drawn::{Drawn, Hit};
+use crate::keys::Action;
 use crate::theme::{Ink, Theme};
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -15,6 +16,9 @@ pub(super) struct Canvas<'a> {
     /// The layout of the frame, to be filled while drawing.
     pub drawn: &'a mut Drawn,
 }
+
+/// A piece of a line: its text, its style, and what a click on it does.
+pub(super) type Piece<'a> = (&'a str, Ink, Option<Hit>);
 
 /// A column of a table.
 #[derive(Clone, Copy, Debug)]
@@ -68,13 +72,6 @@ impl Canvas<'_> {
         (self.drawn.page, self.drawn.lines) = (page, lines);
     }
 
-    /// The first of `lines` that is shown at a scroll position, if `page` lines have room. At the end, the last page
-    /// stays full.
-    pub(super) fn scrolled(&mut self, scroll: usize, page: usize, lines: usize) -> usize {
-        self.list(page, lines);
-        scroll.min(lines.saturating_sub(page))
-    }
-
     /// Writes `text` at a column and row, at most `width` columns of it. Returns the column after it.
     pub(super) fn at(&mut self, x: u16, y: u16, width: u16, text: &str, ink: Ink) -> u16 {
         if y >= self.area.height || x >= self.area.width {
@@ -97,17 +94,65 @@ impl Canvas<'_> {
         }
     }
 
-    /// Makes a text that was written at a column and row a title, if it begins with an explained word that has none yet.
-    pub(super) fn explain(&mut self, x: u16, y: u16, text: &str) {
+    /// The explained word with which a text begins.
+    fn word(&self, text: &str) -> Option<&'static str> {
         let begun = text.trim_start();
         let is_word = |word: &str| {
             begun.strip_prefix(word).is_some_and(|rest| !rest.starts_with(|c: char| c.is_alphanumeric()))
         };
-        let Some((word, _)) = self.words.iter().find(|(word, _)| is_word(word)) else { return };
-        if !self.drawn.has_title(word) {
-            let indent = columns(text).saturating_sub(columns(begun));
-            self.target(x.saturating_add(indent), y, columns(word), Hit::Column(word));
+        self.words.iter().find(|(word, _)| is_word(word)).map(|(word, _)| *word)
+    }
+
+    /// Makes a text that was written at a column and row a title, if it begins with an explained word that has none yet.
+    pub(super) fn explain(&mut self, x: u16, y: u16, text: &str) {
+        let Some(word) = self.word(text).filter(|word| !self.drawn.has_title(word)) else { return };
+        let indent = columns(text).saturating_sub(columns(text.trim_start()));
+        self.target(x.saturating_add(indent), y, columns(word), Hit::Column(word));
+    }
+
+    /// Writes a line of facts as [`Canvas::line`] does. A click on the text behind an explained word explains that word, too.
+    pub(super) fn facts(&mut self, y: u16, pieces: &[Piece<'_>]) -> u16 {
+        let (mut x, mut title) = (0, None);
+        for (text, ink, hit) in pieces {
+            let end = self.at(x, y, u16::MAX, text, *ink);
+            self.explain(x, y, text);
+            title = self.word(text).map(Hit::Column).or(title);
+            if let Some(hit) = hit.or(title) {
+                let indent = columns(text).saturating_sub(columns(text.trim_start()));
+                self.target(x + indent, y, (end - x).saturating_sub(indent), hit);
+            }
+            x = end;
         }
+        x
+    }
+
+    /// Makes the keys that a written text names targets, each with the words behind it.
+    pub(super) fn keys(&mut self, x: u16, y: u16, text: &str, keys: &[(&str, Action)]) {
+        let (mut at, mut last) = (x, None);
+        for word in text.split_inclusive(' ') {
+            let begun = word.trim_end();
+            let known = keys.iter().find(|(key, _)| *key == begun.trim_end_matches([':', ',', ';']));
+            last = known.map(|(_, action)| *action).or(last);
+            if let Some(action) = last.filter(|_| !begun.is_empty()) {
+                self.target(at, y, columns(word), Hit::Key(action));
+            }
+            at = at.saturating_add(columns(word));
+        }
+    }
+
+    /// Marks the selected row by a sign and by its style, unless the cursor is on the banner.
+    pub(super) fn cursor(&mut self, y: u16) {
+        if self.drawn.is_on_banner {
+            return;
+        }
+        self.at(0, y, 1, self.theme.glyphs.selected, Ink::Head);
+        self.select(y);
+    }
+
+    /// The part of this canvas behind the column of the cursor.
+    pub(super) fn indented(&mut self) -> Canvas<'_> {
+        let indent = 1.min(self.area.width);
+        self.part(Rect { x: self.area.x + indent, width: self.area.width - indent, ..self.area })
     }
 
     /// Highlights the selected row. The highlight replaces all other styles, so that the row has one colour.
@@ -119,7 +164,8 @@ impl Canvas<'_> {
     }
 
     /// Writes the first of `texts` that fits into the free right end of a row. If none fits, the row stays as it is.
-    pub(super) fn corner(&mut self, y: u16, texts: &[String], ink: Ink) {
+    /// Each text has parts, and a part may be a target.
+    pub(super) fn corner(&mut self, y: u16, texts: &[Vec<(String, Option<Hit>)>], ink: Ink) {
         if y >= self.area.height {
             return;
         }
@@ -127,10 +173,18 @@ impl Canvas<'_> {
         let is_free = |x: u16| self.buffer[(self.area.x + x, self.area.y + y)].symbol() == " ";
         let free = end - (0..end).rev().take_while(|&x| is_free(x)).last().unwrap_or(end);
         // One column stays free before the text.
-        if let Some(text) = texts.iter().find(|text| columns(text) < free) {
-            let x = end - columns(text);
-            self.at(x, y, u16::MAX, text, ink);
-            self.explain(x, y, text);
+        let long = |parts: &[(String, _)]| parts.iter().map(|(text, _)| columns(text)).sum::<u16>();
+        let Some(parts) = texts.iter().find(|parts| long(parts) < free) else { return };
+        let mut x = end - long(parts);
+        for (text, hit) in parts {
+            let start = x;
+            x = self.at(x, y, u16::MAX, text, ink);
+            self.explain(start, y, text);
+            let area = Rect { x: self.area.x + start, y: self.area.y + y, width: x - start, height: 1 };
+            if let Some(hit) = hit.filter(|_| !area.is_empty()) {
+                // The title of the last column is a target up to the end of the row.
+                self.drawn.target_above(area, hit);
+            }
         }
     }
 

@@ -5,6 +5,7 @@ use super::lists::Window;
 use super::{Hit, mark};
 use crate::app::App;
 use crate::clock::{Moment, Span};
+use crate::keys::Action;
 use crate::store::journal::{Entry, Severity};
 use crate::theme::Ink;
 use std::time::Duration;
@@ -33,8 +34,8 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let window = Window { first, page: room, lines: lines.len() };
     let canvas = &mut canvas.beside_scrollbar(1, window);
     let columns = columns(canvas.area.width);
-    let widths = canvas.widths(&columns);
-    canvas.titles(0, &columns, &widths);
+    let widths = canvas.indented().widths(&columns);
+    canvas.indented().titles(0, &columns, &widths);
     let Some(last) = last else {
         let text =
             if app.filter().is_empty() { " Nothing to report so far." } else { " No event has this text." };
@@ -59,23 +60,26 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
         } else {
             cells.extend([(entry.kind(), ink), (narrow.as_str(), Ink::Plain)]);
         }
-        canvas.row(y, &columns, &widths, &cells);
-        if app.held.is_some() && i == bottom {
-            canvas.select(y);
+        canvas.indented().row(y, &columns, &widths, &cells);
+        if i == bottom {
+            canvas.cursor(y);
         }
         canvas.target(0, y, canvas.area.width, Hit::Line(i));
     }
     let newer = last - bottom;
+    let key = |text: &str, action| (text.to_owned(), Some(Hit::Key(action)));
     let which = match (app.everything, app.discards_hidden) {
-        (true, false) => "every event, ",
-        (true, true) => "every event but discards, ",
-        (false, true) => "no discards, ",
-        (false, false) => "",
+        (true, false) => key("every event, ", Action::Everything),
+        (true, true) => key("every event but discards, ", Action::Discards),
+        (false, true) => key("no discards, ", Action::Discards),
+        (false, false) => key("", Action::Everything),
     };
-    let follows = app.held.map_or("following".to_owned(), |_| format!("+{newer} new, G follows"));
-    let few = app.held.map_or_else(String::new, |_| format!("+{newer} "));
+    let follows = app.held.map_or("following ".to_owned(), |_| format!("+{newer} new, G follows "));
+    let follows = key(&follows, Action::Last);
+    let few = key(&app.held.map_or_else(String::new, |_| format!("+{newer} ")), Action::Last);
     let at = window.position(bottom);
-    let texts = [format!("{which}{follows} {at}"), format!("{follows} {at}"), format!("{follows} "), few];
+    let texts =
+        [vec![which, follows.clone(), at.clone()], vec![follows.clone(), at], vec![follows], vec![few]];
     canvas.corner(0, &texts, if app.held.is_some() { Ink::Warn } else { Ink::Dim });
 }
 

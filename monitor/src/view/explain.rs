@@ -1,7 +1,6 @@
 //! The page about a finding's code: what it means, when it is raised, what to do. `imrs explain` prints the same page.
 
 use super::canvas::{Canvas, columns};
-use super::lists::Window;
 use crate::app::App;
 use crate::store::health::codes;
 use crate::theme::Ink;
@@ -16,12 +15,13 @@ pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
     let text = lint.explanation.replace('§', "section ");
     let lines = wrapped(&text, width);
     let room = usize::from(canvas.height());
-    let first = canvas.scrolled(app.scroll, room, lines.len());
-    let canvas = &mut canvas.beside_scrollbar(0, Window { first, page: room, lines: lines.len() });
-    for (y, line) in (0..).zip(lines.iter().skip(first).take(room)) {
+    let (window, selected) = canvas.chosen(app.scroll, room, vec![None; lines.len()]);
+    let canvas = &mut canvas.beside_scrollbar(0, window);
+    for (y, (at, line)) in (0..).zip(lines.iter().enumerate().skip(window.first).take(room)) {
         let (text, ink) =
             line.strip_prefix("# ").map_or((line.as_str(), Ink::Plain), |title| (title, Ink::Head));
         canvas.at(1, y, u16::MAX, text, ink);
+        canvas.line_of(y, at, selected);
     }
 }
 

@@ -2,6 +2,9 @@
 
 use crate::app::Screen;
 
+/// What `INSECURE` in the header says.
+pub(super) const INSECURE: &str = "the nodes neither encrypt nor authenticate their datagrams";
+
 /// What the header says.
 pub(super) const HEADER: &[(&str, &str)] = &[
     ("3/4 nodes", "so many nodes are up, of those that the cell declares"),
@@ -10,7 +13,7 @@ pub(super) const HEADER: &[(&str, &str)] = &[
     ("PAUSED", "this screen stands still; the nodes do not"),
     ("REPLAY", "a recording, and the position in it"),
     ("REC", "the monitor records what the nodes report"),
-    ("INSECURE", "the nodes neither encrypt nor authenticate their datagrams"),
+    ("INSECURE", INSECURE),
     ("lost 12", "so many events of the nodes that the monitor did not get"),
 ];
 
@@ -133,6 +136,7 @@ const RENDEZVOUS: &[(&str, &str)] = &[
 const TIMELINE: &[(&str, &str)] = &[
     ("TIME", "on the clock of the selected lane's node, since it started"),
     ("TASK", "the task in which it happened"),
+    ("clocks", "how far the order of events on different nodes may be wrong"),
     ("WHAT", "what happened"),
     ("#12 r3", "a message's number; a round"),
     ("+2", "so many more in this row"),

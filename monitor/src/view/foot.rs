@@ -1,6 +1,7 @@
 //! The bottom line: unusual facts at the left, and the keys of the screen at the right. Findings never displace the keys.
 
 use super::canvas::{Canvas, columns};
+use super::scrub::KEYS_OF_TIME;
 use super::{before_pause, explain_column, mark, overview};
 use crate::app::{App, Entry, Kind, Screen};
 use crate::clock::{Moment, Span};
@@ -24,19 +25,22 @@ pub(super) fn draw(
         line_typed(app, entry, y, canvas);
         return;
     }
-    // The next key press removes an answer, so the answer may take the whole row.
+    // The next key press or click removes an answer, so the answer may take the whole row.
     if let Some(told) = &app.told {
         canvas.line(y, &[(" ", Ink::Head), (told, Ink::Head)]);
+        canvas.target(0, y, u16::MAX, Hit::Answer);
         return;
     }
+    let help = Some(Hit::Key(Action::Show(Screen::Help)));
     let title = app.title().filter(|_| app.screen != Screen::Help);
     if let Some(text) = title.and_then(|title| explain_column(app.screen, title)) {
-        let end = canvas.at(0, y, u16::MAX, &format!(" {text} "), Ink::Head);
-        canvas.part(Rect { x: canvas.area.x + end, width: canvas.area.width - end, ..canvas.area }).corner(
-            y,
-            &["? in the help, Esc ".to_owned(), "? help ".to_owned()],
-            Ink::Dim,
-        );
+        let end = canvas.facts(y, &[(&format!(" {text} "), Ink::Head, help)]);
+        let texts = [
+            vec![("? in the help, ".to_owned(), help), ("Esc ".to_owned(), Some(Hit::Key(Action::Back)))],
+            vec![("? help ".to_owned(), help)],
+        ];
+        let area = Rect { x: canvas.area.x + end, width: canvas.area.width - end, ..canvas.area };
+        canvas.part(area).corner(y, &texts, Ink::Dim);
         return;
     }
     let pieces = pieces(app, findings, blockers, now);
@@ -50,12 +54,14 @@ pub(super) fn draw(
         canvas.target(x, y, end.saturating_sub(x), Hit::Key(*action));
         x = end + 2;
     }
-    if let Some(worst) = root(findings, blockers) {
-        canvas.target(0, y, room, Hit::Place(worst.place));
+    let mut area = canvas.part(Rect { width: room, ..canvas.area });
+    let mut x = 0;
+    for (text, ink, hit) in &pieces {
+        let end = area.at(x, y, u16::MAX, text, *ink);
+        area.keys(x, y, text, KEYS_OF_TIME);
+        area.target(x, y, end - x, *hit);
+        x = end;
     }
-    let area = Rect { width: room, ..canvas.area };
-    let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
-    canvas.part(area).line(y, &pieces);
 }
 
 /// Draws the line that the user types with its cursor, and behind it an error in the line or possible completions.
@@ -67,8 +73,7 @@ fn line_typed(app: &App, entry: &Entry, y: u16, canvas: &mut Canvas<'_>) {
     let room = canvas.area.width.saturating_sub(start + 1);
     let room = if columns(text) > room / 2 { room } else { room / 2 };
     let skipped = entry.input.visual_scroll(usize::from(room.max(1)));
-    let mut x = start;
-    let mut at = 0;
+    let (mut x, mut at, mut clicked) = (start, 0, 0);
     for (number, sign) in text.chars().chain([' ']).enumerate() {
         let width = columns(sign.encode_utf8(&mut [0; 4]));
         let is_here = number == entry.input.cursor();
@@ -76,19 +81,29 @@ fn line_typed(app: &App, entry: &Entry, y: u16, canvas: &mut Canvas<'_>) {
             let is_end = number == text.chars().count();
             let sign = if is_end && is_here { "_".to_owned() } else { sign.to_string() };
             let ink = if is_here && !is_end { Ink::Selected } else { Ink::Plain };
-            x = canvas.at(x, y, u16::MAX, &sign, ink);
+            let end = canvas.at(x, y, u16::MAX, &sign, ink);
+            canvas.target(clicked, y, end - clicked, Hit::Cursor(number));
+            (x, clicked) = (end, end);
         }
         at += usize::from(width);
     }
-    let (text, ink) = match app.slip() {
-        Some(slip) => (slip, Ink::Warn),
-        None => {
-            let words = app.completion().words;
-            let text = if words.is_empty() { String::new() } else { format!("Tab: {}", words.join("  ")) };
-            (text, Ink::Dim)
-        }
-    };
-    canvas.at(x + 2, y, u16::MAX, &text, ink);
+    match app.slip() {
+        Some(slip) => drop(canvas.at(x + 2, y, u16::MAX, &slip, Ink::Warn)),
+        None => completions(app, x + 2, y, canvas),
+    }
+    // A click behind the text moves the cursor to the end of the text.
+    canvas.target(x, y, u16::MAX, Hit::Cursor(text.chars().count()));
+}
+
+/// Writes the possible completions. A click on one of them takes it.
+fn completions(app: &App, x: u16, y: u16, canvas: &mut Canvas<'_>) {
+    let words = app.completion().words;
+    let mut x = if words.is_empty() { x } else { canvas.at(x, y, u16::MAX, "Tab: ", Ink::Dim) };
+    for (at, word) in words.iter().enumerate() {
+        let end = canvas.at(x, y, u16::MAX, word, Ink::Dim);
+        canvas.target(x, y, end - x, Hit::Completion(at));
+        x = end + 2;
+    }
 }
 
 /// As many hints at keys as fit; always the hint at the help.
@@ -105,14 +120,12 @@ fn hints(app: &App, width: u16) -> Vec<(String, Action)> {
     chosen
 }
 
-/// The unusual facts: the mode of the screen, and the most severe finding.
-fn pieces(app: &App, findings: &[Finding], blockers: &[Blocker], now: Moment) -> Vec<(String, Ink)> {
-    let mut pieces: Vec<(String, Ink)> = Vec::new();
+/// The unusual facts, each with what a click on it does: the mode of the screen, and the most severe finding.
+fn pieces(app: &App, findings: &[Finding], blockers: &[Blocker], now: Moment) -> Vec<(String, Ink, Hit)> {
+    let mut pieces: Vec<(String, Ink, Hit)> = Vec::new();
     if let Some((at, _)) = app.mark().filter(|_| app.since_mark) {
-        pieces.push((
-            format!(" counters since the mark, {} ago; d ends it", Span(now.saturating_sub(at))),
-            Ink::Warn,
-        ));
+        let text = format!(" counters since the mark, {} ago; d ends it", Span(now.saturating_sub(at)));
+        pieces.push((text, Ink::Warn, Hit::Key(Action::Difference)));
     }
     if let Some(at) = app.paused() {
         let text = match before_pause(app, now) {
@@ -121,20 +134,21 @@ fn pieces(app: &App, findings: &[Finding], blockers: &[Blocker], now: Moment) ->
             }
             None => format!(" paused at {}; [ steps back, space goes on", Span(at)),
         };
-        pieces.push((text, Ink::Warn));
+        pieces.push((text, Ink::Warn, Hit::Key(Action::Pause)));
     }
     if let Some(file) = &app.recording {
-        pieces.push((format!(" recording to {file}; r ends it"), Ink::Warn));
+        pieces.push((format!(" recording to {file}; r ends it"), Ink::Warn, Hit::Key(Action::Record)));
     }
     if !app.filter().is_empty() {
-        pieces.push((format!(" filter /{}", app.filter()), Ink::Warn));
+        pieces.push((format!(" filter /{}", app.filter()), Ink::Warn, Hit::Key(Action::Filter)));
     }
     if let Some(trouble) = app.store().troubles().next() {
-        pieces.push((format!(" ! {trouble}"), Ink::Warn));
+        pieces.push((format!(" ! {trouble}"), Ink::Warn, Hit::Trouble));
     } else if let Some(worst) = root(findings, blockers).filter(|f| f.level >= Severity::Warn) {
         let place = overview::label(app, worst.place);
         let ink = if worst.level == Severity::Bad { Ink::Bad } else { Ink::Warn };
-        pieces.push((format!(" {} {place}: {}", mark(worst.level), worst.text), ink));
+        let text = format!(" {} {place}: {}", mark(worst.level), worst.text);
+        pieces.push((text, ink, Hit::Place(worst.place)));
     }
     pieces
 }

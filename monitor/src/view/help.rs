@@ -3,13 +3,13 @@
 
 use super::canvas::{self, Canvas};
 use super::explained::{BANNER, HEADER, columns};
-use super::lists::Window;
 use crate::app::{App, COMMANDS, Screen};
-use crate::keys::{BINDINGS, Binding};
+use crate::drawn::Hit;
+use crate::keys::{Action, BINDINGS, Binding};
 use crate::theme::{Ink, Theme};
 
-/// A line of the help: the left text, the right text, and the style of the right text.
-type Line = (String, String, Ink);
+/// A line of the help: the left text, the right text, the style of the right text, and what Enter does on the line.
+type Line = (String, String, Ink, Option<Hit>);
 
 pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
     let left_width = if canvas.area.width < 60 { 11 } else { 15 };
@@ -19,23 +19,27 @@ pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
     let lines: Vec<Line> =
         asked.iter().cloned().chain(lines(app).into_iter().flat_map(|line| wrapped(line, width))).collect();
     let room = usize::from(canvas.height());
-    let first = canvas.scrolled(app.scroll, room, lines.len());
-    let canvas = &mut canvas.beside_scrollbar(0, Window { first, page: room, lines: lines.len() });
-    for (y, (at, (left, right, ink))) in (0..).zip(lines.iter().enumerate().skip(first).take(room)) {
+    let opens = lines.iter().map(|(.., hit)| *hit).collect();
+    let (window, selected) = canvas.chosen(app.scroll, room, opens);
+    let canvas = &mut canvas.beside_scrollbar(0, window);
+    let rest = lines.len().saturating_sub(window.first + room);
+    for (y, (at, (left, right, ink, _))) in (0..).zip(lines.iter().enumerate().skip(window.first).take(room))
+    {
         if right.is_empty() {
             canvas.at(1, y, u16::MAX, left, *ink);
         } else {
             canvas.at(1, y, left_width - 1, left, if *ink == Ink::Head { Ink::Head } else { Ink::Plain });
             canvas.at(left_width + 1, y, u16::MAX, right, *ink);
         }
+        if y == 0 && rest > 0 {
+            let down = |text: String| vec![(text, Some(Hit::Key(Action::PageDown)))];
+            let texts = [down(format!("{rest} more lines: j, PgDn ")), down(format!("{rest} more "))];
+            canvas.corner(0, &texts, Ink::Head);
+        }
         if at < asked.len() {
             canvas.select(y);
         }
-    }
-    let rest = lines.len().saturating_sub(first + room);
-    if rest > 0 && canvas.height() > 0 {
-        let texts = [format!("{rest} more lines: j, PgDn "), format!("{rest} more ")];
-        canvas.corner(0, &texts, Ink::Head);
+        canvas.line_of(y, at, selected);
     }
 }
 
@@ -43,17 +47,17 @@ pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
 fn asked(app: &App) -> Option<Line> {
     let title = app.title()?;
     let (name, text) = columns(app.helped()).iter().find(|(name, _)| *name == title)?;
-    Some(((*name).to_owned(), (*text).to_owned(), Ink::Head))
+    Some(((*name).to_owned(), (*text).to_owned(), Ink::Head, Some(Hit::Column(title))))
 }
 
 /// A line, continued where its right text needs more than `width` columns.
-fn wrapped((left, right, ink): Line, width: u16) -> Vec<Line> {
-    let mut lines = vec![(left, String::new(), ink)];
+fn wrapped((left, right, ink, hit): Line, width: u16) -> Vec<Line> {
+    let mut lines = vec![(left, String::new(), ink, hit)];
     for word in right.split(' ') {
         let last = lines.last_mut().expect("a line was begun");
         let needed = canvas::columns(&last.1).saturating_add(canvas::columns(word)).saturating_add(1);
         if !last.1.is_empty() && needed > width {
-            lines.push((String::new(), word.to_owned(), ink));
+            lines.push((String::new(), word.to_owned(), ink, hit));
             continue;
         }
         if !last.1.is_empty() {
@@ -68,41 +72,52 @@ fn wrapped((left, right, ink): Line, width: u16) -> Vec<Line> {
 fn lines(app: &App) -> Vec<Line> {
     let screen = app.helped();
     let mut lines = vec![heading(&format!("KEYS: {}", title(screen)))];
+    let key = |b: &Binding| (app.keymap.label(b), b.help.to_owned(), Ink::Plain, Some(Hit::Key(b.action)));
     let here = |b: &&Binding| b.on.contains(&screen);
     let elsewhere = |b: &&Binding| !b.on.is_empty() && !b.on.contains(&screen);
-    lines.extend(BINDINGS.iter().filter(here).map(|b| (app.keymap.label(b), b.help.to_owned(), Ink::Plain)));
+    lines.extend(BINDINGS.iter().filter(here).map(key));
     lines.push(heading("KEYS EVERYWHERE"));
-    let everywhere = BINDINGS.iter().filter(|b| b.on.is_empty());
-    lines.extend(everywhere.map(|b| (app.keymap.label(b), b.help.to_owned(), Ink::Plain)));
+    lines.extend(BINDINGS.iter().filter(|b| b.on.is_empty()).map(key));
     lines.push(heading("COMMANDS, after a colon"));
     lines.extend(COMMANDS.iter().map(|(usage, help)| {
         let (word, rest) = usage.split_once(' ').map_or((*usage, ""), |(word, rest)| (word, rest));
         let help = if rest.is_empty() { (*help).to_owned() } else { format!("{rest}: {help}") };
-        (format!(":{word}"), help, Ink::Plain)
+        (format!(":{word}"), help, Ink::Plain, Some(Hit::Command(word)))
     }));
     lines.push(heading("SIGNS"));
     lines.extend(signs(&app.theme));
     lines.push(heading("COLOURS, never without a sign or a word"));
     lines.extend(colours(&app.theme));
+    let text = |name: &str, text: &str, hit| (name.to_owned(), text.to_owned(), Ink::Plain, hit);
     let columns = columns(screen);
     if !columns.is_empty() {
         lines.push(heading(&format!("COLUMNS AND FIGURES: {}", title(screen))));
-        lines.extend(columns.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned(), Ink::Plain)));
+        lines.extend(columns.iter().map(|(name, told)| text(name, told, Some(Hit::Column(name)))));
     }
     lines.push(heading("THE HEADER"));
-    lines.extend(HEADER.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned(), Ink::Plain)));
+    lines.extend(HEADER.iter().map(|(name, told)| text(name, told, None)));
     lines.push(heading("THE BANNER BELOW THE HEADER, AND THE BOTTOM LINE"));
-    lines.extend(BANNER.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned(), Ink::Plain)));
+    lines.extend(BANNER.iter().map(|(name, told)| text(name, told, None)));
     lines.push(heading("KEYS ON OTHER SCREENS"));
     lines.extend(BINDINGS.iter().filter(elsewhere).map(|b| {
         let on: Vec<_> = b.on.iter().map(|screen| title(*screen)).collect();
-        (app.keymap.label(b), format!("{}  ({})", b.help, on.join(", ")), Ink::Dim)
+        let hit = b.on.first().copied().map(leads_to);
+        (app.keymap.label(b), format!("{}  ({})", b.help, on.join(", ")), Ink::Dim, hit)
     }));
     lines
 }
 
+/// What Enter does on a key of another screen: it opens that screen.
+const fn leads_to(screen: Screen) -> Hit {
+    match screen {
+        // The settings are a window over a screen, so their own key opens them.
+        Screen::Settings => Hit::Key(Action::Settings),
+        screen => Hit::Tab(screen),
+    }
+}
+
 fn heading(text: &str) -> Line {
-    (text.to_owned(), String::new(), Ink::Head)
+    (text.to_owned(), String::new(), Ink::Head, None)
 }
 
 const fn title(screen: Screen) -> &'static str {
@@ -125,7 +140,7 @@ const fn title(screen: Screen) -> &'static str {
 fn signs(theme: &Theme) -> Vec<Line> {
     let signs = theme.glyphs;
     let two = |a: &str, b: &str| format!("{a} {b}");
-    let line = |sign: String, text: &str, ink| (sign, text.to_owned(), ink);
+    let line = |sign: String, text: &str, ink| (sign, text.to_owned(), ink, None);
     vec![
         line(signs.selected.to_owned(), "the row that keys act on", Ink::Plain),
         line(two(signs.open, signs.closed), "rows within are shown, hidden", Ink::Plain),
@@ -160,7 +175,8 @@ fn signs(theme: &Theme) -> Vec<Line> {
 }
 
 fn colours(theme: &Theme) -> Vec<Line> {
-    let line = |sign: &str, text: &str, ink| (sign.to_owned(), format!("{text} (theme {})", theme.name), ink);
+    let line =
+        |sign: &str, text: &str, ink| (sign.to_owned(), format!("{text} (theme {})", theme.name), ink, None);
     vec![
         line("good", "all well", Ink::Good),
         line("warn", "soon, or not as it should be", Ink::Warn),

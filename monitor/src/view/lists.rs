@@ -2,7 +2,7 @@
 
 use super::canvas::{Canvas, first_row};
 use crate::drawn::Hit;
-use crate::store::health::Place;
+use crate::keys::Action;
 use crate::theme::Ink;
 use ratatui::layout::Rect;
 use ratatui::symbols::bar;
@@ -25,9 +25,10 @@ impl Window {
         self.lines > self.page
     }
 
-    /// `37/156` for the line `at`; empty if all lines have room.
-    pub(super) fn position(self, at: usize) -> String {
-        if self.is_partial() { format!("{}/{} ", at + 1, self.lines) } else { String::new() }
+    /// `37/156` for the line `at`; empty if all lines have room. A click on it shows the next page.
+    pub(super) fn position(self, at: usize) -> (String, Option<Hit>) {
+        let text = if self.is_partial() { format!("{}/{} ", at + 1, self.lines) } else { String::new() };
+        (text, Some(Hit::Key(Action::PageDown)))
     }
 }
 
@@ -39,17 +40,12 @@ impl Canvas<'_> {
         self.part(Rect { width, ..self.area })
     }
 
-    /// Notes a list in which the line `chosen` is selected, and for each line the place that it is about. Returns which
-    /// part of the list is shown, and the selected line.
-    pub(super) fn chosen(
-        &mut self,
-        chosen: usize,
-        page: usize,
-        places: Vec<Option<Place>>,
-    ) -> (Window, usize) {
-        let lines = places.len();
+    /// Notes a list in which the line `chosen` is selected, and for each line what Enter does on it. Returns which part of
+    /// the list is shown, and the selected line.
+    pub(super) fn chosen(&mut self, chosen: usize, page: usize, opens: Vec<Option<Hit>>) -> (Window, usize) {
+        let lines = opens.len();
         self.list(page, lines);
-        self.drawn.places = places;
+        self.drawn.opens = opens;
         let at = chosen.min(lines.saturating_sub(1));
         (Window { first: first_row(at, lines, page), page, lines }, at)
     }
@@ -57,8 +53,7 @@ impl Canvas<'_> {
     /// Makes a drawn line of a list a target, and marks it if it is selected.
     pub(super) fn line_of(&mut self, y: u16, line: usize, selected: usize) {
         if line == selected {
-            self.at(0, y, 1, self.theme.glyphs.selected, Ink::Head);
-            self.select(y);
+            self.cursor(y);
         }
         self.target(0, y, self.area.width, Hit::Line(line));
     }
@@ -90,8 +85,16 @@ impl Canvas<'_> {
         }
     }
 
-    /// Draws the last of `values` as a sparkline, the latest at the right. `None` leaves a gap.
-    pub(super) fn sparkline(&mut self, x: u16, y: u16, width: u16, values: &[Option<u64>], ink: Ink) {
+    /// Draws the last of `values` as a sparkline at a column and row, the latest at the right. `None` leaves a gap. The full
+    /// height is `most`; without it, the greatest of the values.
+    pub(super) fn sparkline(
+        &mut self,
+        (x, y): (u16, u16),
+        width: u16,
+        values: &[Option<u64>],
+        most: Option<u64>,
+        ink: Ink,
+    ) {
         if y >= self.area.height || x >= self.area.width {
             return;
         }
@@ -116,6 +119,7 @@ impl Canvas<'_> {
             .bar_set(set)
             .absent_value_symbol(" ")
             .style(self.theme.style(ink));
+        let line = if let Some(most) = most { line.max(most) } else { line };
         line.render(area, self.buffer);
     }
 }

@@ -1,8 +1,10 @@
 //! Screen 2b: the history of one message, stage by stage, with the time that each stage took.
 
 use super::canvas::{Canvas, Column, bar, columns};
+use super::rendezvous::place_of;
 use crate::app::App;
 use crate::clock::{Moment, Span};
+use crate::drawn::Hit;
 use crate::store::Names;
 use crate::store::health::Place;
 use crate::store::message::{MessageKey, Passed, Stage, incarnation_of};
@@ -10,6 +12,7 @@ use crate::store::queue::{Waiting, queue};
 use crate::store::timeline::own_clock;
 use crate::theme::Ink;
 use imrs_protocol::Event;
+use ratatui::layout::Rect;
 use std::time::Duration;
 
 const COLUMNS: [Column; 8] = [
@@ -33,18 +36,20 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let Some(names) = app.store().names(&cell).cloned() else { return };
     let stages = incarnation_of(app.store(), &cell, key);
     let whole_us = whole(app, &names, key, &stages);
-    about(&names, key, whole_us, canvas);
+    about(app, &names, key, whole_us, canvas);
+    let rows = u16::try_from(stages.len()).unwrap_or(u16::MAX);
     if stages.is_empty() {
         let text = " Its history is gone: it was sent before the monitor attached, or too long ago.";
         canvas.line(2, &[(text, Ink::Dim)]);
+    } else {
+        table(app, &names, &stages, whole_us, &mut canvas.below(2));
     }
-    let rows = u16::try_from(stages.len()).unwrap_or(u16::MAX);
-    table(app, &names, &stages, whole_us, &mut canvas.below(2));
     let mut rest = canvas.below(rows.saturating_add(4).max(4));
-    let mut lines = sentence(&stages, rest.area.width);
+    let mut lines: Vec<_> =
+        sentence(&stages, rest.area.width).into_iter().map(|(text, ink)| (text, ink, None)).collect();
     lines.extend(waiting(app, &names, key, now));
-    for (y, (text, ink)) in (0..).zip(&lines) {
-        rest.line(y, &[(text, *ink)]);
+    for (y, (text, ink, place)) in (0..).zip(&lines) {
+        rest.facts(y, &[(text, *ink, place.map(Hit::Place))]);
     }
 }
 
@@ -59,7 +64,7 @@ fn whole(app: &App, names: &Names, key: MessageKey, stages: &[Stage]) -> u64 {
     sent.unwrap_or(declared).max(most)
 }
 
-fn about(names: &Names, key: MessageKey, whole_us: u64, canvas: &mut Canvas<'_>) {
+fn about(app: &App, names: &Names, key: MessageKey, whole_us: u64, canvas: &mut Canvas<'_>) {
     let home = |task| names.home(task).map_or_else(String::new, |node| format!("@{}", names.node(node)));
     let name = format!(" {}#{}", names.port_name(key.port), key.number);
     let source = format!("  of {}{}", names.task(key.source), home(key.source));
@@ -70,8 +75,17 @@ fn about(names: &Names, key: MessageKey, whole_us: u64, canvas: &mut Canvas<'_>)
         None => "",
     };
     let incarnation = format!("  TTL {}", Span::micros(whole_us));
-    canvas
-        .line(0, &[(&name, Ink::Head), (&source, Ink::Plain), (class, Ink::Dim), (&incarnation, Ink::Plain)]);
+    let task = place_of(app, &names.cell, key.source);
+    let port = task.map(|task| Place { port: task.task.map(|_| key.port), ..task });
+    canvas.facts(
+        0,
+        &[
+            (&name, Ink::Head, port.map(Hit::Place)),
+            (&source, Ink::Plain, task.map(Hit::Place)),
+            (class, Ink::Dim, None),
+            (&incarnation, Ink::Plain, None),
+        ],
+    );
 }
 
 fn table(app: &App, names: &Names, stages: &[Stage], whole_us: u64, canvas: &mut Canvas<'_>) {
@@ -87,18 +101,20 @@ fn table(app: &App, names: &Names, stages: &[Stage], whole_us: u64, canvas: &mut
     } else if width < 110 {
         (columns[1].width, columns[2].width) = (12, 12);
     }
-    let widths = canvas.widths(&columns);
-    canvas.titles(0, &columns, &widths);
+    // The first column of a wide table begins with spaces; that of a narrow one needs a column for the cursor before it.
+    let indent = u16::from(width < 60);
+    let inner = |canvas: &Canvas<'_>| Rect {
+        x: canvas.area.x + indent.min(canvas.area.width),
+        width: canvas.area.width.saturating_sub(indent),
+        ..canvas.area
+    };
+    let area = inner(canvas);
+    let widths = canvas.part(area).widths(&columns);
+    canvas.part(area).titles(0, &columns, &widths);
     let bar_width = widths.last().map_or(0, |w| w.saturating_sub(2).min(60));
     let room = usize::from(canvas.height().saturating_sub(1));
     // All rows use the clock of one node. The nodes' own clocks have different origins, so their times would not be in order.
     let first = stages.first().and_then(|stage| app.store().incarnation(stage.mark.incarnation));
-    let place = |stage: &Stage| {
-        let mark = &stage.mark;
-        let is_of_task = !mark.in_transit;
-        let task = is_of_task.then_some(mark.task);
-        Some(Place { node: Ok(mark.incarnation), task, port: task.map(|_| mark.seen.what.port) })
-    };
     let (window, selected) = canvas.chosen(app.scroll, room, stages.iter().map(place).collect());
     let canvas = &mut canvas.beside_scrollbar(1, window);
     for (y, (number, stage)) in (1..).zip(stages.iter().enumerate().skip(window.first).take(room)) {
@@ -132,9 +148,18 @@ fn table(app: &App, names: &Names, stages: &[Stage], whole_us: u64, canvas: &mut
             (bar.as_str(), if tight { Ink::Warn } else { Ink::Bar }),
         ];
         let cells: Vec<_> = shown.iter().map(|&i| all[i]).collect();
-        canvas.row(y, &columns, &widths, &cells);
+        let area = inner(canvas);
+        canvas.part(area).row(y, &columns, &widths, &cells);
         canvas.line_of(y, number, selected);
     }
+}
+
+/// The place of a stage: the port at its task, or the node whose transit buffer has the message.
+fn place(stage: &Stage) -> Option<Hit> {
+    let mark = &stage.mark;
+    let task = (!mark.in_transit).then_some(mark.task);
+    let port = task.map(|_| mark.seen.what.port);
+    Some(Hit::Place(Place { node: Ok(mark.incarnation), task, port }))
 }
 
 fn clock(us: u64) -> String {
@@ -190,7 +215,7 @@ fn sentence(stages: &[Stage], width: u16) -> Vec<(String, Ink)> {
 }
 
 /// The place where the message is queued now, as text.
-fn waiting(app: &App, names: &Names, key: MessageKey, now: Moment) -> Option<(String, Ink)> {
+fn waiting(app: &App, names: &Names, key: MessageKey, now: Moment) -> Option<(String, Ink, Option<Place>)> {
     let cell = app.cell()?;
     for incarnation in app.store().incarnations_of(&cell) {
         for task in incarnation.tasks().iter().map(|task| task.view.task) {
@@ -207,7 +232,8 @@ fn waiting(app: &App, names: &Names, key: MessageKey, now: Moment) -> Option<(St
                     names.task(task),
                     incarnation.node
                 );
-                return Some((text, if left.us == 0 { Ink::Bad } else { Ink::Good }));
+                let place = Place { node: Ok(incarnation.id), task: Some(task), port: Some(key.port) };
+                return Some((text, if left.us == 0 { Ink::Bad } else { Ink::Good }, Some(place)));
             }
         }
     }

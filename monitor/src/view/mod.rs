@@ -29,6 +29,7 @@ mod words;
 use crate::app::{App, Msg, Screen};
 use crate::clock::{Moment, Span};
 pub use crate::drawn::{Drawn, Hit};
+use crate::keys::Action;
 use crate::name::Name;
 use crate::store::journal::Severity;
 use crate::store::{Condition, Presence};
@@ -77,7 +78,7 @@ fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let told = app.replay().map_or(0, |player| replay::rows(player, middle.height));
     let (middle, panel) = split(middle, told);
     if let Some(player) = app.replay() {
-        replay::draw(player, &mut canvas.part(panel));
+        replay::draw(app, player, &mut canvas.part(panel));
     }
     let mut canvas = canvas.part(middle);
     canvas.words = explained::columns(below_window(app));
@@ -113,6 +114,7 @@ const fn split(area: Rect, rows: u16) -> (Rect, Rect) {
     (Rect { height: above, ..area }, Rect { y: area.y + above, height: rows, ..area })
 }
 
+use explained::INSECURE;
 pub use explained::column as explain_column;
 pub(crate) use explained::columns as explained_columns;
 pub(crate) use overview::label;
@@ -153,15 +155,15 @@ const TABS: [(Screen, char, &str); 8] = [
 /// How many columns of the header the name of a cell takes at most.
 const LONGEST_CELL: u16 = 24;
 
-/// A piece of the header, with the screen that a click on it opens.
-type Piece = (String, Ink, Option<Screen>);
+/// A piece of the header, with what a click on it does.
+type Piece = (String, Ink, Option<Hit>);
 
 fn head(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let mut x = 0;
-    for (text, ink, tab) in pieces(app, canvas.area.width, now) {
+    for (text, ink, hit) in pieces(app, canvas.area.width, now) {
         let end = canvas.at(x, 0, u16::MAX, &text, ink);
-        if let Some(screen) = tab {
-            canvas.target(x, 0, end - x, Hit::Tab(screen));
+        if let Some(hit) = hit {
+            canvas.target(x, 0, end - x, hit);
         }
         x = end;
     }
@@ -170,11 +172,10 @@ fn head(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
 fn pieces(app: &App, width: u16, now: Moment) -> Vec<Piece> {
     let screen = below_window(app);
     let narrow = width < 60;
-    let mut glance = vec![(" imrs ".to_owned(), Ink::Head)];
+    let mut pieces = vec![(" imrs ".to_owned(), Ink::Head, Some(Hit::Key(Action::Settings)))];
     if let Some(cell) = app.cell() {
-        cell_at_a_glance(app, &cell, narrow, now, &mut glance);
+        cell_at_a_glance(app, &cell, narrow, now, &mut pieces);
     }
-    let mut pieces: Vec<Piece> = glance.into_iter().map(|(text, ink)| (text, ink, None)).collect();
     if narrow {
         // The end of the line is cut first, so the tab comes before the less important pieces.
         let at = pieces.len().min(4);
@@ -193,11 +194,12 @@ fn pieces(app: &App, width: u16, now: Moment) -> Vec<Piece> {
     pieces
 }
 
-/// The tab for a narrow screen: the name of the shown screen.
+/// The tab for a narrow screen: the name of the shown screen. A click on it opens the next one.
 fn only_tab(shown: Screen) -> Piece {
-    let tab = TABS.iter().find(|(screen, ..)| *screen == tab_of(shown));
-    let name = tab.map_or("Help".to_owned(), |(_, key, name)| format!("{key} {name}"));
-    (format!(" [{name}]"), Ink::Head, None)
+    let at = TABS.iter().position(|(screen, ..)| *screen == tab_of(shown));
+    let name = at.map_or("Help".to_owned(), |at| format!("{} {}", TABS[at].1, TABS[at].2));
+    let (next, ..) = TABS[at.map_or(0, |at| (at + 1) % TABS.len())];
+    (format!(" [{name}]"), Ink::Head, Some(Hit::Tab(next)))
 }
 
 /// A form in which the tabs are drawn. Each form names the shown screen.
@@ -223,12 +225,12 @@ fn tabs(shown: Screen, form: &Form) -> Vec<Piece> {
     let gap = form.gap;
     let tab = |(screen, key, name): &(Screen, char, &str)| {
         if *screen == tab_of(shown) {
-            return (format!("[{key} {name}]"), Ink::Head, Some(*screen));
+            return (format!("[{key} {name}]"), Ink::Head, Some(Hit::Tab(*screen)));
         }
         let name = if form.names { format!(" {name}") } else { String::new() };
-        (format!("{gap}{key}{name}{gap}"), Ink::Dim, Some(*screen))
+        (format!("{gap}{key}{name}{gap}"), Ink::Dim, Some(Hit::Tab(*screen)))
     };
-    let help = (form.help.to_owned(), Ink::Dim, Some(Screen::Help));
+    let help = (form.help.to_owned(), Ink::Dim, Some(Hit::Tab(Screen::Help)));
     let first = (format!(" {gap}"), Ink::Plain, None);
     std::iter::once(first).chain(TABS.iter().map(tab)).chain([help]).collect()
 }
@@ -244,15 +246,18 @@ fn tab_of(screen: Screen) -> Screen {
 }
 
 /// Writes the cell's name, the number of nodes that are up, and warnings that concern the whole cell.
-fn cell_at_a_glance(app: &App, cell: &Name, narrow: bool, now: Moment, pieces: &mut Vec<(String, Ink)>) {
+fn cell_at_a_glance(app: &App, cell: &Name, narrow: bool, now: Moment, pieces: &mut Vec<Piece>) {
     let cells = app.cells();
     let at = cells.iter().position(|c| c == cell).filter(|_| cells.len() > 1);
     let of = at.map_or_else(String::new, |at| format!(" ({}/{}, C: next)", at + 1, cells.len()));
     let name = if narrow { cell.to_string() } else { canvas::cut(cell.shown(), LONGEST_CELL) };
-    pieces.push((format!(" {name}{of}"), Ink::Plain));
+    let nodes_of_it = Hit::Tab(Screen::Overview);
+    let next = if at.is_some() { Hit::Key(Action::Cell) } else { nodes_of_it };
+    pieces.push((format!(" {name}{of}"), Ink::Plain, Some(next)));
     let (up, all) = nodes(app, now);
     let nodes = if narrow { "" } else { " nodes" };
-    pieces.push((format!("  {up}/{all}{nodes}"), if up < all { Ink::Bad } else { Ink::Plain }));
+    let ink = if up < all { Ink::Bad } else { Ink::Plain };
+    pieces.push((format!("  {up}/{all}{nodes}"), ink, Some(nodes_of_it)));
     if let Some(player) = app.replay() {
         replay::head(player, pieces);
     } else {
@@ -262,19 +267,19 @@ fn cell_at_a_glance(app: &App, cell: &Name, narrow: bool, now: Moment, pieces: &
             (false, _) => ("LIVE", Ink::Good),
         };
         let before = before_pause(app, now).map_or_else(String::new, |before| format!(" -{}", Span(before)));
-        pieces.push((format!("  {word}{before}"), ink));
+        pieces.push((format!("  {word}{before}"), ink, Some(Hit::Key(Action::Pause))));
     }
     if app.recording.is_some() {
-        pieces.push(("  REC".to_owned(), Ink::Bad));
+        pieces.push(("  REC".to_owned(), Ink::Bad, Some(Hit::Key(Action::Record))));
     }
     let insecure =
         app.store().incarnations_of(cell).filter_map(|l| l.last.as_ref()).any(|s| s.snapshot.insecure);
     if insecure {
-        pieces.push(("  INSECURE".to_owned(), Ink::Bad));
+        pieces.push(("  INSECURE".to_owned(), Ink::Bad, Some(Hit::Fact(INSECURE))));
     }
     let lost: u64 = app.store().incarnations_of(cell).map(|l| l.lost).sum();
     if lost > 0 {
-        pieces.push((format!("  lost {lost}"), Ink::Warn));
+        pieces.push((format!("  lost {lost}"), Ink::Warn, Some(Hit::Tab(Screen::Events))));
     }
 }
 

@@ -4,6 +4,7 @@ use super::canvas::{Canvas, bar, columns, fit};
 use super::words::short;
 use crate::app::App;
 use crate::clock::Moment;
+use crate::drawn::Hit;
 use crate::name::Name;
 use crate::store::NodeIncarnation;
 use crate::store::conformance::{Verdict, conformance};
@@ -22,7 +23,8 @@ pub(super) type Line = Vec<(String, Ink)>;
 pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let (lines, places) = lines(app, now, canvas.area.width.saturating_sub(1));
     let room = usize::from(canvas.height());
-    let (window, selected) = canvas.chosen(app.scroll, room, places);
+    let (window, selected) =
+        canvas.chosen(app.scroll, room, places.into_iter().map(|place| place.map(Hit::Place)).collect());
     let canvas = &mut canvas.beside_scrollbar(0, window);
     for (y, (at, line)) in (0..).zip(lines.iter().enumerate().skip(window.first).take(room)) {
         let pieces: Vec<_> = line.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();

@@ -97,6 +97,6 @@ pub(super) fn sparklines(app: &App, row: &Row, free: (u16, u16), y: u16, canvas:
     let ink = if is_latest && incarnation.condition == Condition::Attached { Ink::Bar } else { Ink::Dim };
     let messages: Vec<_> = incarnation.recent.seconds().map(|second| Some(second.messages)).collect();
     let slack: Vec<_> = incarnation.recent.seconds().map(|second| second.slack_us).collect();
-    canvas.sparkline(free.1 - 2 * width - 1, y, width, &messages, ink);
-    canvas.sparkline(free.1 - width, y, width, &slack, Ink::Dim);
+    canvas.sparkline((free.1 - 2 * width - 1, y), width, &messages, None, ink);
+    canvas.sparkline((free.1 - width, y), width, &slack, None, Ink::Dim);
 }

@@ -8,6 +8,7 @@ use super::sums::{Counts, Sum, per_second};
 use super::{Hit, below, nodes};
 use crate::app::App;
 use crate::clock::Moment;
+use crate::keys::Action;
 use crate::rows::{Row, Sort};
 use crate::store::blocked::Blocker;
 use crate::store::health::{Finding, Place, held_back_words};
@@ -50,9 +51,6 @@ pub(super) fn draw(
     titles(app, (&columns, &widths), &window.position(selected), &mut canvas.part(inner));
     for (y, (i, row, cells)) in (1..).zip(&shown) {
         let texts: Vec<_> = of.iter().map(|&c| (cells[c].0.as_str(), cells[c].1)).collect();
-        if *i == selected {
-            canvas.at(0, y, 1, app.theme.glyphs.selected, Ink::Head);
-        }
         let mut inner = canvas.part(inner);
         inner.row(y, &columns, &widths, &texts);
         if row.depth == 0
@@ -64,14 +62,19 @@ pub(super) fn draw(
         }
         let mut line = canvas.part(Rect { width, ..whole });
         if *i == selected {
-            line.select(y);
+            line.cursor(y);
         }
         line.target(0, y, width, Hit::Row(row.place));
     }
 }
 
 /// Draws the titles of the columns, each a target of clicks, and behind them the sort order and the position.
-fn titles(app: &App, (columns, widths): (&[Column], &[u16]), position: &str, canvas: &mut Canvas<'_>) {
+fn titles(
+    app: &App,
+    (columns, widths): (&[Column], &[u16]),
+    position: &(String, Option<Hit>),
+    canvas: &mut Canvas<'_>,
+) {
     let mut start = 0;
     for (column, width) in columns.iter().zip(widths) {
         if let Some(sort) = sort_of(column.title) {
@@ -88,15 +91,21 @@ fn titles(app: &App, (columns, widths): (&[Column], &[u16]), position: &str, can
         }
         start += width + 1;
     }
-    let order = if app.shape.sort != Sort::Name || app.shape.inverted {
-        let inverted = if app.shape.inverted { " inverted" } else { "" };
-        format!("by {}{inverted} ", app.shape.sort.word())
-    } else {
-        String::new()
+    let is_sorted = app.shape.sort != Sort::Name || app.shape.inverted;
+    let order = if is_sorted { format!("by {}", app.shape.sort.word()) } else { String::new() };
+    let order = (order, Some(Hit::Key(Action::Sort)));
+    let inverted = |text: &str| {
+        let text = if app.shape.inverted { text } else { "" };
+        (text.to_owned(), Some(Hit::Key(Action::Invert)))
     };
-    let inverted = if app.shape.inverted { "inverted" } else { "" };
-    let texts = [format!("{order} {position}"), order, position.to_owned(), inverted.to_owned()];
-    let texts: Vec<_> = texts.iter().map(|text| text.trim().to_owned()).collect();
+    let gap = (if is_sorted && !position.0.is_empty() { "  " } else { "" }.to_owned(), None);
+    let position = (position.0.trim_end().to_owned(), position.1);
+    let texts = [
+        vec![order.clone(), inverted(" inverted"), gap, position.clone()],
+        vec![order, inverted(" inverted")],
+        vec![position],
+        vec![inverted("inverted")],
+    ];
     canvas.corner(0, &texts, Ink::Head);
 }
 

@@ -3,13 +3,17 @@
 use super::Hit;
 use super::canvas::{Canvas, Column, bar, first_row};
 use super::lists::Window;
+use super::rendezvous::place_of;
 use crate::app::App;
 use crate::clock::{Moment, Span};
+use crate::keys::Action;
+use crate::store::NodeIncarnation;
+use crate::store::health::Place;
 use crate::store::queue::{Waiting, queue};
 use crate::store::service::{Service, Share, service};
-use crate::store::{NodeIncarnation, PortInfo};
 use crate::theme::Ink;
 use imrs_protocol::{Class, PortView, TaskId};
+use ratatui::layout::Rect;
 
 /// The number of rows above the table of messages. On a low screen these are only the description and the counters.
 const fn above(height: u16) -> u16 {
@@ -30,12 +34,12 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
         .position(|q| *q == end)
         .map_or_else(String::new, |i| format!("{}/{}", i + 1, queues.len()));
     let above = above(canvas.height());
-    about(incarnation, end.task, view, info, &at, now, canvas);
+    about(app, incarnation, end.task, view, &at, now, canvas);
     counters(view, canvas);
     let served = service(app.store(), end.incarnation, end.task, end.port);
     if above > 2 {
         shares(incarnation, served.as_ref(), canvas);
-        fill(app, view, served.as_ref(), canvas);
+        fill(view, served.as_ref(), canvas);
     }
     let whole =
         info.and_then(|i| i.time_out(end.task)).map_or(0, |t| t.0.saturating_mul(incarnation.tick_us));
@@ -51,7 +55,10 @@ const SINCE_ATTACHED: &str = " since attached: ";
 /// Draws the service times and the shares of the sources.
 fn shares(incarnation: &NodeIncarnation, served: Option<&Service>, canvas: &mut Canvas<'_>) {
     let Some(served) = served else {
-        canvas.line(2, &[(SINCE_ATTACHED, Ink::Dim), ("service nothing seen of it yet", Ink::Dim)]);
+        canvas.facts(
+            2,
+            &[(SINCE_ATTACHED, Ink::Dim, None), ("service nothing seen of it yet", Ink::Dim, None)],
+        );
         return;
     };
     let time = |us: Option<u64>| us.map_or_else(|| "-".to_owned(), |us| Span::micros(us).to_string());
@@ -70,8 +77,8 @@ fn shares(incarnation: &NodeIncarnation, served: Option<&Service>, canvas: &mut 
     };
     let each: Vec<_> = served.by_source.iter().map(share).collect();
     pieces.push((each.join("  "), Ink::Plain));
-    let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
-    canvas.line(2, &pieces);
+    let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink, None)).collect();
+    canvas.facts(2, &pieces);
 }
 
 /// Draws, for a watched port that competes with other ports, how often it was bypassed, and the limit of that (D58).
@@ -88,65 +95,73 @@ fn bypassed(
     let text = format!("bypassed {}/{} ", queue.bypassed, queue.bypass_limit);
     if canvas.area.width >= 100 {
         let near = queue.bypassed.saturating_mul(2) > queue.bypass_limit;
-        canvas.corner(1, &[text], if near { Ink::Warn } else { Ink::Dim });
+        let text = (text, Some(Hit::Column("bypassed")));
+        canvas.corner(1, &[vec![text]], if near { Ink::Warn } else { Ink::Dim });
     }
 }
 
 /// Draws how many messages were queued over time, and the slack of the most urgent of them.
-fn fill(app: &App, view: &PortView, served: Option<&Service>, canvas: &mut Canvas<'_>) {
+fn fill(view: &PortView, served: Option<&Service>, canvas: &mut Canvas<'_>) {
     let Some(served) = served else { return };
-    let heights = app.theme.glyphs.heights;
-    let top = usize::from(view.capacity.max(1));
-    let height = |len: &u16| {
-        let at = (usize::from(*len) * (heights.len() - 1)).div_ceil(top).min(heights.len() - 1);
-        heights[at]
-    };
     let room = usize::from(canvas.area.width.saturating_sub(40)).max(10);
-    let late = served.fill.iter().skip(served.fill.len().saturating_sub(room));
-    let drawn: String = late.map(height).collect();
+    let values: Vec<_> = served.fill.iter().map(|len| Some(u64::from(*len))).collect();
+    let width = u16::try_from(values.len().min(room)).unwrap_or(u16::MAX);
+    let x = canvas.facts(3, &[(" fill: ", Ink::Dim, None)]);
+    canvas.sparkline((x, 3), width, &values, Some(view.capacity.max(1).into()), Ink::Bar);
+    canvas.target(x, 3, width, Hit::Column("fill"));
     let time = |us: Option<u64>| us.map_or_else(|| "-".to_owned(), |us| Span::micros(us).to_string());
     let slack = format!("  slack p5 {} p50 {}", time(served.slack_p5_us), time(served.slack_p50_us));
-    canvas.line(3, &[(" fill: ", Ink::Dim), (&drawn, Ink::Bar), (&slack, Ink::Plain)]);
+    let end = (x + width).min(canvas.area.width);
+    let rest = Rect { x: canvas.area.x + end, width: canvas.area.width - end, ..canvas.area };
+    canvas.part(rest).facts(3, &[(&slack, Ink::Plain, None)]);
 }
 
 fn about(
+    app: &App,
     incarnation: &NodeIncarnation,
     task: TaskId,
     view: &PortView,
-    info: Option<&PortInfo>,
     at: &str,
     now: Moment,
     canvas: &mut Canvas<'_>,
 ) {
-    let presence = incarnation.presence(now);
-    let place = format!(" at {}@{}", incarnation.names.task(task), incarnation.node);
+    let (presence, info) = (incarnation.presence(now), incarnation.names.port(view.port));
+    let node = Place { node: Ok(incarnation.id), task: None, port: None };
+    let own = Place { task: Some(task), ..node };
     let class = if view.class == Class::Command { "2" } else { "1" };
     let time_out =
         info.and_then(|i| i.time_out(task)).map(|t| Span::micros(t.0.saturating_mul(incarnation.tick_us)));
-    let time_out = time_out.map_or_else(String::new, |t| format!("  time_out {t}"));
-    let users: Vec<_> = info.map_or(&[][..], |i| &i.parties).iter().filter(|p| p.task != task).collect();
-    let users: Vec<_> = users.iter().map(|p| incarnation.names.task(p.task).to_string()).collect();
-    let usage = format!("  usage {}", view.usage);
-    let class = format!("  class {class}");
-    let with = format!("  with {}", users.join(","));
-    let name = format!(" {}", incarnation.names.port_name(view.port));
-    let fill = format!("  buffer {}/{}", view.len, view.capacity);
-    let gone = if presence.is_gone() { format!("  {presence}: last state") } else { String::new() };
-    canvas.line(
-        0,
-        &[
-            (&name, Ink::Head),
-            (&place, Ink::Plain),
-            (&gone, Ink::Bad),
-            (&fill, Ink::Plain),
-            (&usage, Ink::Dim),
-            (&class, Ink::Dim),
-            (&with, Ink::Dim),
-            (&time_out, Ink::Dim),
-            ("  port ", Ink::Dim),
-            (at, Ink::Dim),
-        ],
-    );
+    let mut pieces = vec![
+        (format!(" {}", incarnation.names.port_name(view.port)), Ink::Head, place_of_port(own, view)),
+        (format!(" at {}@{}", incarnation.names.task(task), incarnation.node), Ink::Plain, at_place(own)),
+    ];
+    if presence.is_gone() {
+        pieces.push((format!("  {presence}: last state"), Ink::Bad, at_place(node)));
+    }
+    pieces.push((format!("  buffer {}/{}", view.len, view.capacity), Ink::Plain, None));
+    pieces.push((format!("  usage {}", view.usage), Ink::Dim, None));
+    pieces.push((format!("  class {class}"), Ink::Dim, None));
+    let users = info.map_or(&[][..], |i| &i.parties).iter().filter(|party| party.task != task);
+    for (number, user) in users.enumerate() {
+        let lead = if number == 0 { "  with " } else { "," };
+        let place = place_of(app, &incarnation.names.cell, user.task).and_then(at_place);
+        pieces.push((format!("{lead}{}", incarnation.names.task(user.task)), Ink::Dim, place));
+    }
+    if let Some(time_out) = time_out {
+        pieces.push((format!("  time_out {time_out}"), Ink::Dim, None));
+    }
+    pieces.push(("  port ".to_owned(), Ink::Dim, None));
+    pieces.push((at.to_owned(), Ink::Dim, Some(Hit::Key(Action::Right))));
+    let pieces: Vec<_> = pieces.iter().map(|(text, ink, hit)| (text.as_str(), *ink, *hit)).collect();
+    canvas.facts(0, &pieces);
+}
+
+const fn at_place(place: Place) -> Option<Hit> {
+    Some(Hit::Place(place))
+}
+
+const fn place_of_port(task: Place, view: &PortView) -> Option<Hit> {
+    at_place(Place { port: Some(view.port), ..task })
 }
 
 fn counters(view: &PortView, canvas: &mut Canvas<'_>) {
@@ -166,9 +181,9 @@ fn counters(view: &PortView, canvas: &mut Canvas<'_>) {
     ];
     let shown = all.iter().enumerate().filter(|(i, (_, n))| *i < 3 || *n > 0);
     let texts: Vec<_> = shown.map(|(_, (name, n))| format!("{name} {n}  ")).collect();
-    let figures = texts.iter().map(|text| (text.as_str(), Ink::Plain));
-    let pieces: Vec<_> = std::iter::once((" since start: ", Ink::Dim)).chain(figures).collect();
-    canvas.line(1, &pieces);
+    let figures = texts.iter().map(|text| (text.as_str(), Ink::Plain, None));
+    let pieces: Vec<_> = std::iter::once((" since start: ", Ink::Dim, None)).chain(figures).collect();
+    canvas.facts(1, &pieces);
 }
 
 /// The queue of a port, with the data that decide about the verdicts on its messages.
@@ -200,9 +215,7 @@ impl Queue<'_> {
             _ => &[0, 1, 2, 3, 4, 5, 6, 7, 9, 8],
         };
         let columns: Vec<Column> = shown.iter().map(|&i| column(i, width)).collect();
-        let mut inner = canvas.below(0);
-        inner.area.x += 1.min(inner.area.width);
-        inner.area.width = inner.area.width.saturating_sub(1);
+        let mut inner = canvas.indented();
         let widths = inner.widths(&columns);
         inner.titles(0, &columns, &widths);
         if self.waiting.is_empty() {
@@ -215,13 +228,9 @@ impl Queue<'_> {
         for (y, (i, waiting)) in (1..).zip(self.waiting.iter().enumerate().skip(window.first).take(room)) {
             let cells = self.cells(i, waiting, bar_width);
             let cells: Vec<_> = shown.iter().map(|&c| (cells[c].0.as_str(), cells[c].1)).collect();
-            let mut inner = canvas.below(0);
-            inner.area.x += 1.min(inner.area.width);
-            inner.area.width = inner.area.width.saturating_sub(1);
-            inner.row(y, &columns, &widths, &cells);
+            canvas.indented().row(y, &columns, &widths, &cells);
             if i == selected {
-                canvas.at(0, y, 1, self.app.theme.glyphs.selected, Ink::Head);
-                canvas.select(y);
+                canvas.cursor(y);
             }
             canvas.target(0, y, canvas.area.width, Hit::Entry(waiting.entry.source, waiting.entry.id));
         }
@@ -232,7 +241,8 @@ impl Queue<'_> {
     fn hidden(&self, shown: usize, canvas: &mut Canvas<'_>) {
         let hidden = usize::from(self.view.len).max(self.waiting.len()).saturating_sub(shown);
         if hidden > 0 && canvas.height() > 0 {
-            canvas.corner(0, &[format!("{hidden} more "), format!("+{hidden}")], Ink::Head);
+            let down = |text: String| vec![(text, Some(Hit::Key(Action::PageDown)))];
+            canvas.corner(0, &[down(format!("{hidden} more ")), down(format!("+{hidden}"))], Ink::Head);
         }
     }
 

@@ -42,12 +42,10 @@ pub(super) fn draw(
     let window = Window { first: first_row(selected, rows.len(), room), page: room, lines: rows.len() };
     let canvas = &mut canvas.beside_scrollbar(1, window);
     let columns = columns(canvas.area.width);
-    let mut inner = canvas.below(0);
-    inner.area.x += 1.min(inner.area.width);
-    inner.area.width = inner.area.width.saturating_sub(1);
+    let mut inner = canvas.indented();
     let (area, widths) = (inner.area, inner.widths(&columns));
     inner.titles(0, &columns, &widths);
-    canvas.corner(0, &[window.position(selected)], Ink::Head);
+    canvas.corner(0, &[vec![window.position(selected)]], Ink::Head);
     if rows.is_empty() {
         canvas.line(1, &[(" Nothing is wrong, and no message waits.", Ink::Good)]);
         return;
@@ -65,8 +63,7 @@ pub(super) fn draw(
             cells.iter().take(columns.len()).map(|(text, ink)| (text.as_str(), *ink)).collect();
         canvas.part(area).row(y, &columns, &widths, &cells);
         if i == selected {
-            canvas.at(0, y, 1, app.theme.glyphs.selected, Ink::Head);
-            canvas.select(y);
+            canvas.cursor(y);
         }
         canvas.target(0, y, canvas.area.width, Hit::Problem(row.key()));
     }
@@ -78,7 +75,7 @@ fn cells(app: &App, row: &Problem) -> Cells {
             let text = format!("{} - holds {}: {}", blocker.name, blocker.by.len(), blocker.why);
             let ink = if blocker.level == Severity::Bad { Ink::Alarm } else { Ink::Warn };
             let sign = mark(blocker.level).to_owned();
-            [(sign, ink), (label(app, blocker.place), ink), (text, ink), (String::new(), Ink::Dim)]
+            [(sign, ink), (label(app, blocker.place), ink), (text, ink), (blocker.code.to_owned(), Ink::Dim)]
         }
         Problem::Finding { finding, caused } => {
             let ink = match (finding.level, caused) {

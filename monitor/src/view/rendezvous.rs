@@ -3,6 +3,8 @@
 use super::canvas::{Canvas, bar, fit};
 use crate::app::App;
 use crate::clock::{Moment, Span};
+use crate::drawn::Hit;
+use crate::keys::Action;
 use crate::name::Name;
 use crate::store::Presence;
 use crate::store::health::Place;
@@ -15,13 +17,13 @@ use imrs_protocol::TaskId;
 type Line = Vec<(String, Ink)>;
 
 pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
-    let (lines, places) = cards(app, now, canvas.area.width.saturating_sub(1));
+    let (lines, opens) = cards(app, now, canvas.area.width.saturating_sub(1));
     if lines.is_empty() {
         canvas.line(1, &[(" This cell has no waitfor.", Ink::Plain)]);
         return;
     }
     let room = usize::from(canvas.height());
-    let (window, selected) = canvas.chosen(app.scroll, room, places);
+    let (window, selected) = canvas.chosen(app.scroll, room, opens);
     let canvas = &mut canvas.beside_scrollbar(0, window);
     for (y, (at, line)) in (0..).zip(lines.iter().enumerate().skip(window.first).take(room)) {
         let pieces: Vec<_> = line.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
@@ -31,17 +33,17 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
 }
 
 /// The place of a task on the latest incarnation of its node.
-fn place_of(app: &App, cell: &Name, task: TaskId) -> Option<Place> {
+pub(super) fn place_of(app: &App, cell: &Name, task: TaskId) -> Option<Place> {
     let home = app.store().names(cell)?.home(task)?;
     let node = app.store().latest(cell, home).map(|incarnation| incarnation.id).ok_or(home);
     // For a node that the monitor has never seen, the overview has only the row of the node itself.
     Some(Place { node, task: node.is_ok().then_some(task), port: None })
 }
 
-/// The lines of all cards. For each line, the place that it is about.
-fn cards(app: &App, now: Moment, width: u16) -> (Vec<Line>, Vec<Option<Place>>) {
+/// The lines of all cards. For each line, what Enter does on it: mostly it leads to the place that the line is about.
+fn cards(app: &App, now: Moment, width: u16) -> (Vec<Line>, Vec<Option<Hit>>) {
     let Some(cell) = app.cell() else { return (Vec::new(), Vec::new()) };
-    let (mut lines, mut places) = (Vec::new(), Vec::new());
+    let (mut lines, mut opens) = (Vec::new(), Vec::new());
     let cycles = cycles(app.store(), &cell, now);
     let in_cycle = |task: TaskId| cycles.iter().any(|cycle| cycle.tasks.contains(&task));
     for cycle in &cycles {
@@ -51,7 +53,9 @@ fn cards(app: &App, now: Moment, width: u16) -> (Vec<Line>, Vec<Option<Place>>) 
     if app.only_cycles {
         let text =
             if cycles.is_empty() { " No wait-for cycle." } else { " Only what waits in a cycle is shown." };
+        opens.resize(lines.len(), None);
         lines.push(vec![(format!("{text} c: show all"), Ink::Warn)]);
+        opens.push(Some(Hit::Key(Action::Cycles)));
     }
     for meeting in &meetings(app.store(), &cell, now) {
         if app.only_cycles && !meeting.members.iter().any(|m| !m.waits_for.is_empty() && in_cycle(m.task)) {
@@ -60,20 +64,21 @@ fn cards(app: &App, now: Moment, width: u16) -> (Vec<Line>, Vec<Option<Place>>) 
         if !lines.is_empty() {
             lines.push(Vec::new());
         }
-        places.resize(lines.len(), None);
+        opens.resize(lines.len(), None);
         let owner = meeting.members.first().and_then(|member| place_of(app, &cell, member.task));
         lines.push(heading(app, meeting, width));
-        places.push(owner.map(|place| Place { port: place.task.map(|_| meeting.port), ..place }));
+        let port = |place: Place| Place { port: place.task.map(|_| meeting.port), ..place };
+        opens.push(owner.map(|place| Hit::Place(port(place))));
         let before = lines.len();
         card(app, meeting, width, &mut lines);
-        places.resize(before + usize::from(width >= NARROW), None);
+        opens.resize(before + usize::from(width >= NARROW), None);
         let members = meeting.members.iter().chain(meeting.lost());
-        places.extend(members.map(|member| place_of(app, &cell, member.task)));
+        opens.extend(members.map(|member| place_of(app, &cell, member.task).map(Hit::Place)));
         lines.extend(past(app, &cell, meeting, width));
-        places.resize(lines.len(), None);
+        opens.resize(lines.len(), None);
     }
-    places.resize(lines.len(), None);
-    (lines, places)
+    opens.resize(lines.len(), None);
+    (lines, opens)
 }
 
 /// On a screen that is narrower than this, there are no titles and no matrix.

@@ -5,12 +5,16 @@ use super::canvas::{Canvas, columns};
 use crate::app::App;
 use crate::clock::Moment;
 use crate::drawn::Hit;
+use crate::keys::Action;
 use crate::replay::Ribbon;
 use crate::theme::Ink;
 use std::borrow::Cow;
 
 /// The hints at the keys of the bar, longest first.
-const KEYS: [&str; 3] = ["  [ ] step  { } trouble  Home End  space ", "  [ ] { } space ", ""];
+const KEYS: [&str; 4] =
+    ["  [ ] step  { } trouble  Home End  space ", "  [ ] { } space ", " [ ] { } space", ""];
+/// A shorter bar would show no places.
+const LEAST: u16 = 8;
 
 /// The data that the scrub bar draws, and the shown position on it.
 fn ribbon(app: &App, now: Moment) -> Option<(Cow<'_, Ribbon>, u64)> {
@@ -37,13 +41,14 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let at = format!(" {at:>6} ");
     let end = format!(" {end}");
     let fixed = columns(&at) + columns(&end) + 2;
-    let keys = match width {
-        100.. => KEYS[0],
-        60..100 => KEYS[1],
-        _ => KEYS[2],
-    };
-    let bar = width.saturating_sub(fixed + columns(keys));
-    if bar < 8 {
+    let room = width.saturating_sub(fixed);
+    // The longest hints would take half of a narrow row.
+    let fits = |keys: &&&str| (width >= 100 || **keys != KEYS[0]) && columns(keys) + LEAST <= room;
+    let keys = KEYS.iter().find(fits).copied().unwrap_or_default();
+    let bar = room.saturating_sub(columns(keys));
+    if bar < LEAST {
+        canvas.target(0, 0, columns(&at), Hit::Key(Action::Oldest));
+        canvas.target(columns(&at), 0, width, Hit::Key(Action::Newest));
         canvas.line(0, &[(&at, Ink::Plain), ("of", Ink::Dim), (&end, Ink::Plain)]);
         return;
     }
@@ -60,5 +65,20 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     }
     let x = canvas.at(start + bar, 0, 1, "]", Ink::Dim);
     let x = canvas.at(x, 0, u16::MAX, &end, Ink::Plain);
+    canvas.keys(x, 0, keys, KEYS_OF_TIME);
     canvas.at(x, 0, u16::MAX, keys, Ink::Dim);
+    // The position before the bar and the length behind it lead to the two ends.
+    canvas.target(0, 0, start, Hit::Key(Action::Oldest));
+    canvas.target(start + bar, 0, x - start - bar, Hit::Key(Action::Newest));
 }
+
+/// The keys that move in time, as texts name them.
+pub(super) const KEYS_OF_TIME: &[(&str, Action)] = &[
+    ("[", Action::StepBack),
+    ("]", Action::StepOn),
+    ("{", Action::PreviousAnomaly),
+    ("}", Action::NextAnomaly),
+    ("Home", Action::Oldest),
+    ("End", Action::Newest),
+    ("space", Action::Pause),
+];

@@ -2,6 +2,8 @@
 
 use super::canvas::Canvas;
 use crate::app::{App, Setting};
+use crate::drawn::Hit;
+use crate::keys::Action;
 use crate::theme::Ink;
 use ratatui::layout::Rect;
 use ratatui::symbols::border;
@@ -45,7 +47,8 @@ pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
         return;
     }
     // A click on the window must not select anything behind it.
-    canvas.drawn.forget();
+    canvas.drawn.forget(whole);
+    canvas.part(area).keys(1, 0, title, &[("Enter", Action::Enter), ("Esc", Action::Back)]);
     let mut inner = canvas.part(Rect { x: area.x + 1, y: area.y + 1, width: width - 2, height: height - 2 });
     let room = usize::from(inner.height());
     let (window, selected) = inner.chosen(app.scroll, room, vec![None; lines]);
@@ -59,4 +62,6 @@ pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
         inner.at(end, y, u16::MAX, &file, Ink::Dim);
         inner.line_of(y, at, selected);
     }
+    // A click beside the window closes it.
+    canvas.drawn.target(whole, Hit::Key(Action::Back));
 }

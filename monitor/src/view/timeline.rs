@@ -8,12 +8,13 @@ use super::words::{ink, short};
 use crate::app::App;
 use crate::app::lanes::{Chart, Slice};
 use crate::clock::Span;
+use crate::keys::Action;
 use crate::store::journal::{Severity, level_of};
 use crate::store::timeline::{Mark, since_start};
 use crate::theme::Ink;
 use std::time::Duration;
 
-/// The width of the time axis.
+/// The width of the time axis, with the column of the cursor.
 const AXIS: u16 = 11;
 /// The least width of a lane.
 const LANE: u16 = 24;
@@ -67,7 +68,7 @@ fn lanes(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
             Slice::Lost(gap) => {
                 let node =
                     app.store().incarnation(gap.incarnation).map_or_else(String::new, |l| l.node.to_string());
-                let text = format!("== lost {} events of {node} ", gap.lost);
+                let text = format!(" == lost {} events of {node} ", gap.lost);
                 canvas.line(y, &[(&text, Ink::Warn), (&"=".repeat(200), Ink::Warn)]);
             }
             Slice::Quiet(time) => {
@@ -78,7 +79,10 @@ fn lanes(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
             Slice::Marks(places) | Slice::Elsewhere(places) => {
                 let marks: Vec<&Mark> = places.iter().map(|&i| &chart.timeline.marks[i]).collect();
                 if let Some(time) = time {
-                    canvas.at(0, y, AXIS, &time.to_string(), if time.exact { Ink::Plain } else { Ink::Dim });
+                    let text = time.to_string();
+                    // Beside the cursor, a long time loses its last digit.
+                    let text = if at == chart.bottom { format!("{:>10}", cut(text.trim(), 9)) } else { text };
+                    canvas.at(0, y, AXIS, &text, if time.exact { Ink::Plain } else { Ink::Dim });
                 }
                 match row {
                     _ if list => narrow(app, &marks, y, canvas),
@@ -87,8 +91,8 @@ fn lanes(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
                 }
             }
         }
-        if chart.held && at == chart.bottom {
-            canvas.select(y);
+        if at == chart.bottom {
+            canvas.cursor(y);
         }
         canvas.target(0, y, u16::MAX, Hit::Line(at));
     }
@@ -102,20 +106,29 @@ fn corner(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
     let cell = app.cell();
     let incarnations = cell.iter().flat_map(|cell| app.store().present(cell));
     let error = incarnations.filter_map(|incarnation| incarnation.clock).map(|clock| clock.error_us).max();
+    let key = |text: String, action| (text, Some(Hit::Key(action)));
     let zoom = chart.zoom.map_or_else(|| "each event".to_owned(), |zoom| format!("{} a row", Span(zoom)));
-    let zoom = if chart.sparse { format!("no ordinary messages, {zoom}") } else { zoom };
+    let zoom = key(zoom, if app.is_widest() { Action::Closer } else { Action::Wider });
+    let sparse = key(if chart.sparse { "no ordinary messages, " } else { "" }.to_owned(), Action::Everything);
     let clocks = error.map_or_else(String::new, |us| format!("clocks +-{}, ", Span::micros(us)));
+    let clocks = (clocks, Some(Hit::Column("clocks")));
     let newer = chart.rows.len().saturating_sub(chart.bottom + 1);
     let (new, few) = if chart.held {
         (format!(", +{newer} new, G follows"), format!("+{newer} "))
     } else {
         (String::new(), String::new())
     };
+    let (new, few) = (key(new, Action::Last), key(few, Action::Last));
     let room = usize::from(canvas.height().saturating_sub(1));
-    let at = Window { first: 0, page: room, lines: chart.rows.len() }.position(chart.bottom);
-    let at = if at.is_empty() { at } else { format!(" {at}") };
-    let texts =
-        [format!("{clocks}{zoom}{new} {at}"), format!("{zoom}{new} {at}"), format!("{zoom}{new} "), few];
+    let mut at = Window { first: 0, page: room, lines: chart.rows.len() }.position(chart.bottom);
+    at.0 = if at.0.is_empty() { " ".to_owned() } else { format!("  {}", at.0) };
+    let end = (" ".to_owned(), None);
+    let texts = [
+        vec![clocks, sparse.clone(), zoom.clone(), new.clone(), at.clone()],
+        vec![sparse.clone(), zoom.clone(), new.clone(), at],
+        vec![sparse, zoom, new, end],
+        vec![few],
+    ];
     canvas.corner(0, &texts, if chart.held { Ink::Warn } else { Ink::Dim });
 }
 
@@ -131,14 +144,14 @@ struct Time {
 impl std::fmt::Display for Time {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let at = Duration::from_micros(self.us.unsigned_abs());
-        let (minus, sign) = (if self.us < 0 { "-" } else { "" }, if self.exact { ' ' } else { '~' });
+        let (minus, sign) = (if self.us < 0 { "-" } else { "" }, if self.exact { "" } else { "~" });
         let (minutes, seconds) = (at.as_secs() / 60, at.as_secs() % 60);
         let text = if minutes < 60 {
-            format!("{minus}{minutes}:{seconds:02}.{:03}", at.subsec_millis())
+            format!("{sign}{minus}{minutes}:{seconds:02}.{:03}", at.subsec_millis())
         } else {
-            format!("{minus}{}:{:02}:{seconds:02}", minutes / 60, minutes % 60)
+            format!("{sign}{minus}{}:{:02}:{seconds:02}", minutes / 60, minutes % 60)
         };
-        write!(f, "{sign}{text:>9}")
+        write!(f, "{text:>10}")
     }
 }
 
@@ -215,10 +228,13 @@ impl Sheet {
             canvas.target(x.saturating_sub(1), 0, width, Hit::Lane(*task));
         }
         if self.first > 0 {
-            canvas.at(0, 0, 4, &format!("{}{}", self.first, app.theme.glyphs.back), Ink::Warn);
+            let end = canvas.at(0, 0, 4, &format!("{}{}", self.first, app.theme.glyphs.back), Ink::Warn);
+            canvas.target(0, 0, end, Hit::Lane(chart.lanes[self.first - 1]));
         }
         if after > 0 {
-            canvas.at(canvas.area.width.saturating_sub(columns(&more)), 0, u16::MAX, &more, Ink::Warn);
+            let x = canvas.area.width.saturating_sub(columns(&more));
+            canvas.at(x, 0, u16::MAX, &more, Ink::Warn);
+            canvas.target(x, 0, columns(&more), Hit::Lane(chart.lanes[self.first + self.count]));
         }
     }
 
@@ -258,21 +274,24 @@ impl Sheet {
         }
     }
 
-    /// How many of the marks are in hidden lanes to the left of the visible ones, and how many in those to the right.
-    fn sides(&self, chart: &Chart, marks: &[&Mark]) -> (usize, usize) {
+    /// The hidden lanes of the marks to the left of the visible lanes, and those to the right.
+    fn sides(&self, chart: &Chart, marks: &[&Mark]) -> (Vec<usize>, Vec<usize>) {
         let lanes = || marks.iter().filter_map(|mark| chart.lane_of(mark.task));
-        let left = lanes().filter(|lane| *lane < self.first).count();
-        (left, lanes().filter(|lane| *lane >= self.first + self.count).count())
+        let left = lanes().filter(|lane| *lane < self.first).collect();
+        (left, lanes().filter(|lane| *lane >= self.first + self.count).collect())
     }
 
     /// Writes at the edges of a row how many of its events are in the hidden lanes on that side.
     fn beside(&self, app: &App, chart: &Chart, marks: &[&Mark], y: u16, canvas: &mut Canvas<'_>) {
         let (left, right) = self.sides(chart, marks);
-        if left > 0 {
+        let lane = |lane: usize| Hit::Lane(chart.lanes[lane]);
+        if let Some(nearest) = left.iter().max() {
             canvas.at(AXIS - 1, y, 1, app.theme.glyphs.back, Ink::Warn);
+            canvas.target(AXIS - 1, y, 1, lane(*nearest));
         }
-        if right > 0 {
-            canvas.corner(y, &[format!("+{right}{}", app.theme.glyphs.arrow)], Ink::Warn);
+        if let Some(nearest) = right.iter().min() {
+            let text = format!("+{}{}", right.len(), app.theme.glyphs.arrow);
+            canvas.corner(y, &[vec![(text, Some(lane(*nearest)))]], Ink::Warn);
         }
     }
 
@@ -303,14 +322,14 @@ impl Sheet {
         };
         let (left, right) = self.sides(chart, marks);
         let (back, arrow) = (app.theme.glyphs.back, app.theme.glyphs.arrow);
-        let text = match (left, right) {
+        let text = match (left.len(), right.len()) {
             (0, _) => format!("{text} {arrow}"),
             (_, 0) => format!("{back} {text}"),
             _ => format!("{back} {text} {arrow}"),
         };
         let room = canvas.area.width.saturating_sub(AXIS + 1);
         let end = room.saturating_sub(columns(&text));
-        let x = match (left, right) {
+        let x = match (left.len(), right.len()) {
             (0, _) => end,
             (_, 0) => 0,
             _ => end / 2,

@@ -3,12 +3,12 @@
 use super::canvas::{Canvas, Column, bar};
 use crate::app::App;
 use crate::clock::{Moment, Span};
+use crate::drawn::Hit;
 use crate::store::health::Place;
 use crate::store::trail::Trail;
 use crate::store::{Left, NodeIncarnation};
 use crate::theme::Ink;
 use imrs_protocol::{Event, PortId, TaskId, TaskState, TimeId};
-use ratatui::layout::Rect;
 
 /// A timer of a node, or a wait of a task.
 struct Entry {
@@ -40,9 +40,10 @@ const COLUMNS: [Column; 7] = [
 ];
 
 pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
-    let (lines, places): (Vec<_>, Vec<_>) = lines(app, now).into_iter().unzip();
+    let (lines, opens): (Vec<_>, Vec<_>) =
+        lines(app, now).into_iter().map(|(line, place)| (line, place.map(Hit::Place))).unzip();
     let room = usize::from(canvas.height().saturating_sub(1));
-    let (window, selected) = canvas.chosen(app.scroll, room, places);
+    let (window, selected) = canvas.chosen(app.scroll, room, opens);
     let canvas = &mut canvas.beside_scrollbar(1, window);
     let width = canvas.area.width;
     let shown: &[usize] = match width {
@@ -59,12 +60,11 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
             _ => column.width,
         };
     }
-    let indented = Rect { x: canvas.area.x + 1.min(width), width: width.saturating_sub(1), ..canvas.area };
-    let widths = canvas.part(indented).widths(&columns);
-    canvas.part(indented).titles(0, &columns, &widths);
-    canvas.corner(0, &[window.position(selected)], Ink::Head);
+    let widths = canvas.indented().widths(&columns);
+    canvas.indented().titles(0, &columns, &widths);
+    canvas.corner(0, &[vec![window.position(selected)]], Ink::Head);
     for (y, (at, line)) in (1..).zip(lines.iter().enumerate().skip(window.first).take(room)) {
-        let mut inner = canvas.part(indented);
+        let mut inner = canvas.indented();
         match line {
             Line::Node(text, late, ink) => inner.line(y, &[(text, *ink), (late, *ink)]),
             Line::Note(text) => inner.line(y, &[("  ", Ink::Plain), (text, Ink::Dim)]),

@@ -37,6 +37,11 @@ pub const HALT: PortId = PortId(2);
 pub const NODES: [&str; 3] = ["nl", "nr", "nh"];
 
 pub fn cell() -> Cell {
+    cell_with(Ticks(200_000))
+}
+
+/// The cell in which a message of `beat` may be used for so long.
+pub fn cell_with(beat: Ticks) -> Cell {
     let mut cell = Cell::new("beam-lift", Ticks(1_000));
     let nodes = NODES.map(|n| cell.node(n));
     for (a, b) in [(0, 1), (1, 2), (0, 2)] {
@@ -55,7 +60,7 @@ pub fn cell() -> Cell {
         PortDecl::new("lift", left, Usage::Waitfor, &[right, hoist], Ticks(1_000_000))
             .resend(Ticks(20_000), 2),
     );
-    cell.port(PortDecl::new("beat", left, Usage::Send, &[right], Ticks(200_000)).command().bounded_buffer(8));
+    cell.port(PortDecl::new("beat", left, Usage::Send, &[right], beat).command().bounded_buffer(8));
     cell.port(PortDecl::new("halt", hoist, Usage::Send, &[left, right], Ticks(100_000)).bounded_buffer(2));
     cell
 }

@@ -15,6 +15,7 @@ use crate::name::Name;
 use codes::Lint;
 use imrs_protocol::{NodeId, PortId, TaskId};
 use imrs_wire::obs::Snapshot;
+use std::cmp::Reverse;
 use std::sync::{Arc, OnceLock};
 
 /// The place of a finding: a whole node, a task, or a port.
@@ -81,7 +82,7 @@ impl Looked {
     }
 }
 
-/// All findings in a cell at `now`, most severe first.
+/// All findings in a cell at `now`: the most severe first and, of equal severity, those that name a cause most directly.
 #[must_use]
 pub fn findings(store: &Store, cell: &Name, now: Moment) -> Vec<Finding> {
     let mut found = Vec::new();
@@ -93,7 +94,9 @@ pub fn findings(store: &Store, cell: &Name, now: Moment) -> Vec<Finding> {
     node::never_seen(store, cell, &mut found);
     links::cut(store, cell, now, &mut found);
     meetings::look(store, cell, now, &mut found);
-    found.sort_by(|a, b| (b.level, a.place).cmp(&(a.level, b.place)));
+    let about = |finding: &Finding| codes::find(finding.code).map(|lint| lint.about);
+    // A slight fault of a link must not displace what a port of the cell reports.
+    found.sort_by_cached_key(|finding| (Reverse(finding.level), about(finding), finding.place));
     found
 }
 
