@@ -118,7 +118,7 @@ fn dead_incarnations_have_no_rows_until_asked_for_and_never_look_healthy() {
         stage.attach(ms(1_110), 0, incarnation);
     }
     assert_eq!(stage.app.rows(&[], NOW).len(), rows);
-    assert!(stage.text(NOW, 120, 40).contains("up 4m12s incarnation 4, 3 deaths"));
+    assert!(stage.text(NOW, 120, 40).contains("inc 4, 3 deaths up 4m12s"));
     let shown = stage.typed(NOW, (120, 40), "a");
     let dead: Vec<_> = shown.lines().filter(|line| line.contains("DEAD")).collect();
     assert_eq!(dead.len(), 3, "{shown}");
