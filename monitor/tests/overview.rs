@@ -110,7 +110,7 @@ fn the_row_of_a_restarted_node_says_which_incarnation_it_is_and_how_many_died() 
     for width in 40..=200 {
         let row = row_of(&dead.text(ms(1_150), width, 24), "nl");
         assert!(width < 60 || row.contains("DEAD"), "{width}: {row}");
-        assert!(width < 80 && width >= 60 || row.contains("8 deaths"), "{width}: {row}");
+        assert!((60..80).contains(&width) || row.contains("8 deaths"), "{width}: {row}");
     }
     let mut held = restarted();
     let tasks = vec![HeldTask { task: TaskId(0), remaining: Ticks(61_400_000) }];
