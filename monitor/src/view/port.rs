@@ -74,7 +74,8 @@ fn shares(incarnation: &NodeIncarnation, served: Option<&Service>, canvas: &mut 
     canvas.line(2, &pieces);
 }
 
-/// Draws, for a watched port that competes with other ports, how often it was bypassed, and the limit of that (D58).
+/// Draws, for a watched port that competes with other ports, how often it was bypassed, and the limit of that (D58). This
+/// is a state of now, as the rest of the first row.
 fn bypassed(
     incarnation: &NodeIncarnation,
     task: TaskId,
@@ -88,7 +89,7 @@ fn bypassed(
     let text = format!("bypassed {}/{} ", queue.bypassed, queue.bypass_limit);
     if canvas.area.width >= 100 {
         let near = queue.bypassed.saturating_mul(2) > queue.bypass_limit;
-        canvas.corner(1, &[text], if near { Ink::Warn } else { Ink::Dim });
+        canvas.corner(0, &[text], if near { Ink::Warn } else { Ink::Dim });
     }
 }
 
@@ -101,12 +102,14 @@ fn fill(app: &App, view: &PortView, served: Option<&Service>, canvas: &mut Canva
         let at = (usize::from(*len) * (heights.len() - 1)).div_ceil(top).min(heights.len() - 1);
         heights[at]
     };
-    let room = usize::from(canvas.area.width.saturating_sub(40)).max(10);
+    let samples = served.fill.len();
+    let label = format!(" last {samples} samples: ");
+    let room = usize::from(canvas.area.width.saturating_sub(56)).max(10);
     let late = served.fill.iter().skip(served.fill.len().saturating_sub(room));
     let drawn: String = late.map(height).collect();
     let time = |us: Option<u64>| us.map_or_else(|| "-".to_owned(), |us| Span::micros(us).to_string());
     let slack = format!("  slack p5 {} p50 {}", time(served.slack_p5_us), time(served.slack_p50_us));
-    canvas.line(3, &[(" fill: ", Ink::Dim), (&drawn, Ink::Bar), (&slack, Ink::Plain)]);
+    canvas.line(3, &[(&label, Ink::Dim), ("fill ", Ink::Dim), (&drawn, Ink::Bar), (&slack, Ink::Plain)]);
 }
 
 fn about(
