@@ -222,7 +222,7 @@ fn the_selection_is_marked_by_a_sign_and_by_reversing_in_every_theme() {
 fn the_help_lists_every_key_and_every_key_does_something_where_it_says() {
     let mut stage = stage(Theme::ASCII);
     stage.keys(NOW, "?");
-    let text = stage.text(NOW, 120, 150);
+    let text = stage.text(NOW, 120, 250);
     let keymap = Keymap::default();
     for binding in BINDINGS {
         let told = |line: &str| line.contains(binding.help) && line.contains(&keymap.label(binding));

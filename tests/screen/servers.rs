@@ -99,7 +99,7 @@ fn a_restarted_node_has_a_new_incarnation() {
     terminal.start_monitor("");
     let before = format!("nh (pid {})", demo.pid("nh"));
     let is_dead = |screen: &str| screen.lines().any(|l| l.contains(&before) && l.contains("DEAD"));
-    let is_up = |line: &str| line.contains(" up ") || line.contains(" up, held back");
+    let is_up = |line: &str| line.contains(" up ") || line.contains("held back");
     let lives_again = |screen: &str| {
         screen.lines().any(|line| line.contains("nh (pid") && !line.contains(&before) && is_up(line))
     };
