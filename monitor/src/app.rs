@@ -12,6 +12,7 @@ mod shown;
 mod slices;
 mod steer;
 mod titles;
+mod wind;
 
 pub use command::COMMANDS;
 pub use complete::{Completion, fuzzy};
@@ -111,7 +112,7 @@ pub struct App {
     /// The frames of the last minutes.
     history: History,
     /// While paused, if the user has moved back in the history: the position there.
-    back: Option<Box<Player>>,
+    back: wind::Back,
     /// The recording that is shown instead of running nodes; `None` if running nodes are shown.
     replay: Option<Box<Player>>,
     /// The file to which the arriving frames are recorded.
@@ -196,7 +197,7 @@ impl App {
             frozen: None,
             ribbon: None,
             history: History::default(),
-            back: None,
+            back: wind::Back::default(),
             replay: None,
             recording: None,
             screen: Screen::Overview,
@@ -261,7 +262,7 @@ impl App {
     /// The position in the history, while the screen is paused and the user has moved back.
     #[must_use]
     pub fn gone_back(&self) -> Option<&Player> {
-        self.back.as_deref()
+        self.back.player()
     }
 
     /// While paused: which times before the pause the history covers.
@@ -299,7 +300,7 @@ impl App {
     /// The store that is shown: that of the running nodes, the one at the pause, or that of a position in a recording.
     #[must_use]
     pub fn store(&self) -> &Store {
-        if let Some(player) = self.replay.as_ref().or(self.back.as_ref()) {
+        if let Some(player) = self.replay.as_deref().or(self.back.player()) {
             return player.store();
         }
         self.frozen.as_ref().map_or(&self.live, |(store, _)| store)
@@ -314,7 +315,7 @@ impl App {
     /// The moment that the screen shows.
     #[must_use]
     pub fn moment(&self, now: Moment) -> Moment {
-        if let Some(player) = self.replay.as_ref().or(self.back.as_ref()) {
+        if let Some(player) = self.replay.as_deref().or(self.back.player()) {
             return player.moment();
         }
         self.frozen.as_ref().map_or(now, |(_, at)| *at)
