@@ -21,6 +21,7 @@ mod problems;
 mod query;
 mod reduce;
 mod replay;
+mod replay_screens;
 mod screens;
 mod settings;
 mod steer;
