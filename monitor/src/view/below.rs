@@ -139,8 +139,8 @@ fn model(app: &App, cell: &Name) -> (Vec<String>, Ink) {
         Some(node) => (vec![format!("{node} VIOLATES it (7)"), "VIOLATED (7)".to_owned()], Ink::Bad),
         None if unknown == incarnations => (vec!["UNKNOWN, not recorded".to_owned()], Ink::Dim),
         None if unknown > 0 => {
-            let texts =
-                [format!("{judged}, {unknown} nodes UNKNOWN"), format!("conforms, {unknown} nodes UNKNOWN")];
+            let unknown = if unknown == 1 { "1 node".to_owned() } else { format!("{unknown} nodes") };
+            let texts = [format!("{judged}, {unknown} UNKNOWN"), format!("conforms, {unknown} UNKNOWN")];
             (texts.into(), Ink::Warn)
         }
         None => (vec![judged, "conforms".to_owned()], Ink::Good),
