@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """Makes the pictures of the monitor from a real run of src/demo/assembly.cell: a cell under load that loses packets and a node.
-The terminal is a tmux, and each screen becomes an SVG. The run takes half a minute.
+The terminal is a tmux, and each screen becomes an SVG. The runs, of which one is of a cell of twelve nodes, take two minutes.
 
 Usage: docs/picture.py [path of the imrs command; default target/debug/imrs]
 """
@@ -124,8 +124,10 @@ def svg(screen, title):
         for x, width, part, ink, paper, extra in pieces(line, style):
             if paper:
                 out.append(f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{CELL_H}" fill="{paper}"/>')
-            if part.strip():
-                out.append(f'<text x="{x:.1f}" y="{y + 13.5:.1f}" textLength="{width:.1f}" fill="{ink}"{extra}>{html.escape(part)}</text>')
+            # Texts between gaps have places of their own: not every renderer keeps spaces.
+            for text in re.finditer(r"\S+(?: \S+)*", part):
+                at, length = x + text.start() * CELL_W, len(text.group()) * CELL_W
+                out.append(f'<text x="{at:.1f}" y="{y + 13.5:.1f}" textLength="{length:.1f}" fill="{ink}"{extra}>{html.escape(text.group())}</text>')
     return "\n".join(out + ["</g>", "</svg>", ""])
 
 
@@ -170,21 +172,46 @@ CELL = str(HERE.parent / "src/demo/assembly.cell")
 KILLED_AT = 30
 
 
-class Watched:
-    """The cell, and a monitor that watches it in a terminal."""
+def large():
+    """The text of a cell of twelve nodes with 108 ports: three rings of four tasks, in which each reports to the one before it."""
+    nodes, ports = range(1, 13), "abcdefghi"
+    after = lambda n: n + 1 if n % 4 else n - 3
+    before = lambda n: n - 1 if n % 4 != 1 else n + 3
+    text = ["cell line;", "tick 1 msec;", *(f"node n{n};" for n in nodes)]
+    text += [f"link n{n} -- n{after(n)} delay 2 msec;" for n in nodes]
+    for n in nodes:
+        text += [f"task t{n} on n{n}"]
+        text += [f"  port p{n}{p}(v: int16) usage = receive user_list = {{t{after(n)}}} time_out = 900 msec class = 1 bounded_buffer[4];"
+                 for p in ports]
+        text += [f"  use_port p{before(n)}{p}(v: int16) usage = send;" for p in ports]
+        text += ["  var v: int16;", "begin", "  loop", "    run work takes 40..120 msec;"]
+        text += [f"    use_send p{before(n)}{p}(v);" for p in ports]
+        text += [f"    receive p{n}{p}(v);" for p in ports]
+        text += ["  end;", f"end t{n};"]
+    return "\n".join(text) + "\n"
 
-    def __init__(self):
+
+class Watched:
+    """A cell, and a monitor that watches it in a terminal. Another monitor records what it sees."""
+
+    def __init__(self, cell, task, *faults):
         self.folder = tempfile.mkdtemp(prefix="imrs-picture")
-        env = {**os.environ, "XDG_RUNTIME_DIR": self.folder}
-        faults = ["--loss", "8%", "--kill", f"nh@{KILLED_AT}s", "--seed", "3"]
+        self.env = {**os.environ, "XDG_RUNTIME_DIR": self.folder, "XDG_STATE_HOME": self.folder}
         record = ["--record", os.path.join(self.folder, "run.imrs")]
-        command = [IMRS, "run", CELL, "--for", "90s", *faults, *record]
-        self.nodes = subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL)
+        command = [IMRS, "run", cell, "--for", "120s", "--seed", "3", *faults, *record]
+        self.nodes = subprocess.Popen(command, env=self.env, stdout=subprocess.DEVNULL)
         self.screen = Screen(30)
         time.sleep(1)
-        monitor = f"TERM=tmux-256color XDG_RUNTIME_DIR={self.folder} LC_ALL=C.UTF-8 exec {IMRS} monitor --judge {CELL}"
-        self.type(f"clear; {monitor}", "Enter")
-        self.screen.wait_for("NODE/TASK/PORT", "vision")
+        self.seen = os.path.join(self.folder, "seen.imrs")
+        command = [IMRS, "monitor", "--record", self.seen, "--for", f"{KILLED_AT + 5}s"]
+        self.recorder = subprocess.Popen(command, env=self.env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        self.monitor(f"--judge {cell}", "NODE/TASK/PORT", task)
+
+    def monitor(self, options, *texts):
+        """Starts a monitor in the terminal, and waits until it shows these texts."""
+        environment = f"TERM=tmux-256color XDG_RUNTIME_DIR={self.folder} XDG_STATE_HOME={self.folder} LC_ALL=C.UTF-8"
+        self.type(f"clear; {environment} {IMRS} monitor {options}", "Enter")
+        self.screen.wait_for(*texts)
 
     def type(self, *keys):
         self.screen.tmux("send-keys", *keys)
@@ -192,6 +219,7 @@ class Watched:
     def leave(self):
         self.nodes.send_signal(signal.SIGINT)
         self.nodes.wait(timeout=20)
+        self.recorder.wait(timeout=60)
         self.screen.tmux("kill-server")
         shutil.rmtree(self.folder)
 
@@ -201,18 +229,20 @@ def alive(cell):
     screen = cell.screen
     # Rejected questions, parts that expired, a queue that is neither empty nor full, and a meeting.
     screen.save("monitor-overview.svg", "The overview: ports with messages, what expired and what was rejected",
-                r"(?s)waitfor lift r\d.*part +\x1b.*[3-7]/8 .*grab .*[12]/2 ")
+                r"(?s) part +\x1b[^\n]*[3-7]/8 .* grab [^\n]*[12]/2 .*waitfor lift r\d")
     for _ in range(4):
         cell.type("Tab")
     screen.save("monitor-title.svg", "A selected title: the bottom line says what the column shows", r"SLACK: remaining time")
     cell.type("Escape")
     cell.type(":")
-    cell.type("port press.part", "Enter")
-    screen.save("monitor-port.svg", "A port's queue in the order of service: which messages will be served in time, and which will not",
-                r"(?s)(?=.*m ok(\x1b|\n))(?=(.*MISS likely){2})")
+    cell.type("port pr")
+    screen.save("monitor-typed.svg", "A typed line: Tab completes it to one of the names behind it", r"port pr.*Tab: ")
+    cell.type("ess.part", "Enter")
+    screen.save("monitor-port.svg", "A port's queue in the order of service: which messages will likely expire before they are served",
+                r"(?s)(.*MISS likely){3}")
     cell.type("5")
     screen.save("monitor-timers.svg", "What runs out when: a wait for an answer, a meeting, a timer of a task",
-                r"(?s)the answer to .*its handler begins")
+                r"(?s)(?=.*the answer to )(?=.*its handler begins)")
     one_life(cell)
     cell.type("4")
     screen.save("monitor-timeline.svg", "What happened in each task, side by side: a request times out, another is rejected and asked again",
@@ -224,7 +254,7 @@ def dead(cell):
     screen = cell.screen
     cell.type("6")
     screen.save("monitor-events.svg", "What happened: messages that expired, requests that timed out, a node that died",
-                r"(?s)(?=.*timed out)(?=.*expired)(?=.*mdead\x1b.*send_refused)")
+                r"(?s)(?=.*mdead\x1b)")
     cell.type("3")
     screen.wait_for("can never arrive", "GATHERING 2/3")
     screen.save("monitor-rendezvous.svg", "The rendezvous after the hoist's node was killed: both arms wait for it")
@@ -234,10 +264,50 @@ def dead(cell):
     cell.type("8")
     screen.save("monitor-problems.svg", "The problems of all nodes: the dead node above what waits for it, then the nearest deadlines",
                 r"(?s)\A(?!.*waitfor lift r\d).*BLOCKED BY hoist@nh - DEAD.*PROBLEM.*part")
+    cell.type("x")
+    screen.save("monitor-code.svg", "What a finding means, when it is raised and ends, and what to do", r"What to do")
+    cell.type("Escape")
     cell.type("7")
     screen.save("monitor-model.svg", "Whether the nodes do what the verified model does", r"transition kinds seen")
     cell.type("?")
     screen.save("monitor-help.svg", "The help, made from the table of keys", r"KEYS EVERYWHERE")
+    cell.type("1")
+    cell.type("o")
+    screen.save("monitor-settings.svg", "The window of the settings", r"settings: Enter changes")
+    cell.type("Escape")
+    cell.type("Space")
+    cell.type("{")
+    for _ in range(20):
+        cell.type("[")
+    screen.save("monitor-paused.svg", "A pause, some steps before it: the bar shows where something went wrong, and the moment that is shown",
+                r"(?s)PAUSED -.*\[ \] step")
+    cell.type("Space")
+
+
+def replayed(cell):
+    """What the other monitor recorded."""
+    cell.recorder.wait(timeout=60)
+    cell.type("q")
+    time.sleep(1)
+    cell.monitor(f"--replay {cell.seen} --at -20s", "REPLAY")
+    cell.type("}")
+    cell.screen.save("monitor-replay.svg", "A recording, at a place where something went wrong", r"(?s)REPLAY.*\[ \] step")
+
+
+def of_twelve_nodes():
+    """The overview of a large cell: what is in trouble, and one row for the rest."""
+    with tempfile.NamedTemporaryFile("w", suffix=".cell") as file:
+        file.write(large())
+        file.flush()
+        cell = Watched(file.name, "n12", "--kill", "n4@12s")
+        try:
+            cell.screen.wait_for("DEAD 1s ago", "11 nodes")
+            cell.type("G")
+            cell.type("l")
+            cell.screen.save("monitor-large.svg", "A cell of twelve nodes with 108 ports: what is in trouble, and one row for the other nodes, opened",
+                             r"(?s)DEAD [2-9]s.*11 nodes.*n12 ")
+        finally:
+            cell.leave()
 
 
 def one_life(cell):
@@ -245,14 +315,18 @@ def one_life(cell):
     cell.type(":")
     cell.type("port press.grab", "Enter")
     cell.screen.wait_for("grab at press", "arm")
-    for _ in range(100):
+    told = r"(?s)CHARGED.*rejected.*rejected.*delivered.*replied.*answered(?!.*now it waits)"
+    for _ in range(400):
         # Its row says how often it was rejected, behind the bar of its remaining time.
         if re.search(r"arm[LR] .*\] +[1-9] ", cell.screen.tmux("capture-pane", "-p")):
             cell.type("Enter")
-            break
+            # The message may be gone, or may have been answered at once.
+            time.sleep(1.2)
+            if re.search(told, cell.screen.tmux("capture-pane", "-p")):
+                break
+            cell.type("Escape")
         time.sleep(0.05)
-    cell.screen.save("monitor-message.svg", "The history of one message: where it was, how often it was rejected, what each step cost",
-                     r"(?s)CHARGED.*rejected.*rejected.*sent again.*answered(?!.*now it waits)")
+    cell.screen.save("monitor-message.svg", "The history of one message: where it was, how often it was rejected, what each step cost", told)
 
 
 def is_in_step(shown):
@@ -262,15 +336,17 @@ def is_in_step(shown):
 
 
 def main():
-    cell = Watched()
+    cell = Watched(CELL, "vision", "--loss", "8%", "--kill", f"nh@{KILLED_AT}s")
     try:
         time.sleep(3)
         alive(cell)
         cell.type("1")
         cell.screen.wait_for("DEAD ")
         dead(cell)
+        replayed(cell)
     finally:
         cell.leave()
+    of_twelve_nodes()
 
 
 if __name__ == "__main__":

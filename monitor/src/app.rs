@@ -13,6 +13,7 @@ mod shown;
 mod slices;
 mod steer;
 mod titles;
+mod wind;
 
 pub use command::COMMANDS;
 pub use complete::{Completion, fuzzy};
@@ -112,7 +113,7 @@ pub struct App {
     /// The frames of the last minutes.
     history: History,
     /// While paused, if the user has moved back in the history: the position there.
-    back: Option<Box<Player>>,
+    back: wind::Back,
     /// The recording that is shown instead of running nodes; `None` if running nodes are shown.
     replay: Option<Box<Player>>,
     /// The file to which the arriving frames are recorded.
@@ -199,7 +200,7 @@ impl App {
             frozen: None,
             ribbon: None,
             history: History::default(),
-            back: None,
+            back: wind::Back::default(),
             replay: None,
             recording: None,
             screen: Screen::Overview,
@@ -265,7 +266,7 @@ impl App {
     /// The position in the history, while the screen is paused and the user has moved back.
     #[must_use]
     pub fn gone_back(&self) -> Option<&Player> {
-        self.back.as_deref()
+        self.back.player()
     }
 
     /// While paused: which times before the pause the history covers.
@@ -303,7 +304,7 @@ impl App {
     /// The store that is shown: that of the running nodes, the one at the pause, or that of a position in a recording.
     #[must_use]
     pub fn store(&self) -> &Store {
-        if let Some(player) = self.replay.as_ref().or(self.back.as_ref()) {
+        if let Some(player) = self.replay.as_deref().or(self.back.player()) {
             return player.store();
         }
         self.frozen.as_ref().map_or(&self.live, |(store, _)| store)
@@ -318,7 +319,7 @@ impl App {
     /// The moment that the screen shows.
     #[must_use]
     pub fn moment(&self, now: Moment) -> Moment {
-        if let Some(player) = self.replay.as_ref().or(self.back.as_ref()) {
+        if let Some(player) = self.replay.as_deref().or(self.back.player()) {
             return player.moment();
         }
         self.frozen.as_ref().map_or(now, |(_, at)| *at)

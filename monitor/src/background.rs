@@ -2,7 +2,7 @@
 
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use std::time::Duration;
-use terminal_colorsaurus::{QueryOptions, ThemeMode, theme_mode};
+use terminal_colorsaurus::{QueryOptions, background_color};
 
 /// How long the terminal's answer may take. The first frame waits for it.
 const WITHIN: Duration = Duration::from_millis(120);
@@ -13,10 +13,9 @@ const LONGEST: usize = 40;
 pub fn is_light() -> Option<bool> {
     let mut options = QueryOptions::default();
     options.timeout = WITHIN;
-    match theme_mode(options) {
-        Ok(mode) => Some(mode == ThemeMode::Light),
-        Err(_) => None,
-    }
+    // The colour of the text is not asked for: some terminals know only the one of their background.
+    let background = background_color(options).ok()?;
+    Some(background.perceived_lightness() > 0.5)
 }
 
 /// Drops an answer of the terminal that came too late. Such an answer begins with an escape that crossterm does not know, so

@@ -32,6 +32,8 @@ pub struct History {
     known: Vec<Known>,
     /// The memory of the closed segments, in bytes.
     weight: usize,
+    /// How much of the budget is left to others, in bytes.
+    reserved: usize,
     verdicts: Verdicts,
 }
 
@@ -182,14 +184,31 @@ impl History {
         self.closed.push_back(piece);
     }
 
+    /// Leaves so much of the budget to what is shown beside the present: of a very large cell the oldest segments go.
+    pub fn reserve(&mut self, bytes: usize) {
+        self.reserved = bytes;
+        while self.closed.len() > 1 && self.weight() > self.budget() {
+            self.drop_oldest();
+        }
+    }
+
+    const fn budget(&self) -> usize {
+        BUDGET.saturating_sub(self.reserved)
+    }
+
+    fn drop_oldest(&mut self) {
+        if let Some(first) = self.closed.pop_front() {
+            self.weight -= first.weight();
+        }
+    }
+
     fn forget(&mut self, now: Moment) {
         let too_old = |piece: &Piece| now.saturating_sub(piece.last) > LENGTH;
         while let Some(first) = self.closed.front() {
-            if !too_old(first) && self.weight() <= BUDGET {
+            if !too_old(first) && self.weight() <= self.budget() {
                 return;
             }
-            self.weight -= first.weight();
-            self.closed.pop_front();
+            self.drop_oldest();
         }
     }
 }

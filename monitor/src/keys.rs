@@ -239,8 +239,8 @@ pub const BINDINGS: &[Binding] = &[
     everywhere(&[key(' ')], Action::Pause, "pause this screen (never the nodes); play a recording"),
     everywhere(&[key('[')], Action::StepBack, "in a recording, or while paused: one step back"),
     everywhere(&[key(']')], Action::StepOn, "in a recording, or while paused: one step on"),
-    everywhere(&[key('{')], Action::PreviousAnomaly, "there: back to where something went wrong"),
-    everywhere(&[key('}')], Action::NextAnomaly, "there: on to where something goes wrong"),
+    everywhere(&[key('{')], Action::PreviousAnomaly, "in a recording, or while paused: back to trouble"),
+    everywhere(&[key('}')], Action::NextAnomaly, "in a recording, or while paused: on to trouble"),
     on(
         &[Screen::Overview, Screen::Events],
         &[key('n')],

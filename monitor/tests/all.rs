@@ -22,6 +22,7 @@ mod problems;
 mod query;
 mod reduce;
 mod replay;
+mod replay_screens;
 mod screens;
 mod settings;
 mod steer;

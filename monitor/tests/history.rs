@@ -299,3 +299,15 @@ fn the_bar_shows_where_something_went_wrong_and_a_click_leads_there() {
     assert!(!text(&stage.draw(now, 100, 24)).contains("{ } trouble"));
     assert!(stage.app.ribbon().is_none());
 }
+
+/// The keys that move in a recording move while paused, too, and the help says so.
+#[test]
+fn the_help_of_a_paused_screen_names_the_keys_that_move() {
+    let mut stage = Stage::busy(Theme::ASCII);
+    let help = stage.typed(ms(1_200), (120, 200), " ?");
+    for key in ["[", "]", "{", "}", "Home", "End"] {
+        let line = help.lines().find(|line| line.split_whitespace().next() == Some(key));
+        let line = line.unwrap_or_else(|| panic!("{key}: {help}"));
+        assert!(line.contains("while paused"), "{key}: {line}");
+    }
+}

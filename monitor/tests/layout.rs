@@ -1,13 +1,15 @@
 //! Tests that the screens stay legible: at narrow widths, with wide names, in the selected row, and after a restart.
 
-use crate::common::{NODES, Stage, identity, ms, snapshot, table, text};
+use crate::common::crowd::CROWD_NOW;
+use crate::common::{BEAT, Stage, identity, ms, snapshot, table, text, traffic};
 use imrs_monitor::app::Screen;
 use imrs_monitor::keymap::Keymap;
 use imrs_monitor::keys::BINDINGS;
 use imrs_monitor::rows::Sort;
 use imrs_monitor::source::Feed;
 use imrs_monitor::theme::Theme;
-use imrs_wire::obs::{Bye, Events, Goodbye, Liveness, ServerFrame};
+use imrs_protocol::{QueueView, TaskId};
+use imrs_wire::obs::{Bye, Detail, Events, Goodbye, Liveness, NodeIdentity, PortDetail, ServerFrame};
 use ratatui::style::Color;
 use std::time::Duration;
 
@@ -53,17 +55,22 @@ fn the_verdict_is_visible_however_many_links_there_are() {
 #[test]
 fn the_selected_row_has_one_style() {
     for theme in Theme::ALL {
-        for keys in ["jj", "2lj", "6k", "4k"] {
+        for keys in ["jj", "2lj", "6k", "4k", "2l\nj", "3j", "5jj", "7jj", "8jj", "oj"] {
             let mut stage = Stage::busy(theme);
             stage.lose(ms(1_120), 2);
             stage.typed(NOW, (120, 40), keys);
             let buffer = stage.draw(NOW, 120, 40);
-            let row = (0..40).find(|&y| {
-                (0..120).all(|x| buffer[(x, y)].modifier.contains(ratatui::style::Modifier::REVERSED))
-            });
+            // The row of the settings is as wide as their window, and a scrollbar is no part of a row.
+            let is_reversed =
+                |x: u16, y: u16| buffer[(x, y)].modifier.contains(ratatui::style::Modifier::REVERSED);
+            let columns = |y: u16| (0..120).filter(|&x| is_reversed(x, y)).collect::<Vec<_>>();
+            let row = (0..40).find(|&y| columns(y).len() >= 60);
             let row = row.unwrap_or_else(|| panic!("no selection: {keys} {}", theme.name));
+            let columns = columns(row);
+            let (first, last) = (columns[0], columns[columns.len() - 1]);
+            assert!(keys == "oj" || (first, last >= 118) == (0, true), "{keys} {}: {columns:?}", theme.name);
             let style = |x| (buffer[(x, row)].fg, buffer[(x, row)].bg, buffer[(x, row)].modifier);
-            assert!((1..120).all(|x| style(x) == style(0)), "{keys} {}: {row}", theme.name);
+            assert!((first..=last).all(|x| style(x) == style(first)), "{keys} {}: {row}", theme.name);
         }
     }
 }
@@ -72,7 +79,9 @@ fn the_selected_row_has_one_style() {
 /// would be invisible.
 #[test]
 fn the_contrast_theme_colours_every_cell_itself() {
-    for key in ["1", "2", "3", "4", "5", "6", "7", "8", "?"] {
+    let screens =
+        ["1", "2", "3", "4", "5", "6", "7", "8", "?", "2l\n", "8x", "o", " ", ":port be", "/slack<"];
+    for key in screens {
         let mut stage = Stage::busy(Theme::CONTRAST);
         stage.typed(NOW, (120, 40), key);
         let buffer = stage.draw(NOW, 120, 40);
@@ -118,7 +127,7 @@ fn dead_incarnations_have_no_rows_until_asked_for_and_never_look_healthy() {
         stage.attach(ms(1_110), 0, incarnation);
     }
     assert_eq!(stage.app.rows(&[], NOW).len(), rows);
-    assert!(stage.text(NOW, 120, 40).contains("up 4m12s incarnation 4, 3 deaths"));
+    assert!(stage.text(NOW, 120, 40).contains("inc 4, 3 deaths up 4m12s"));
     let shown = stage.typed(NOW, (120, 40), "a");
     let dead: Vec<_> = shown.lines().filter(|line| line.contains("DEAD")).collect();
     assert_eq!(dead.len(), 3, "{shown}");
@@ -172,29 +181,50 @@ fn each_screen_has_a_filter_of_its_own() {
     assert!(stage.text(NOW, 120, 24).contains("filter /slack<20ms"));
 }
 
-/// With characters that are two columns wide or have no width, the text after a name stays in its column.
-#[test]
-fn names_are_measured_in_columns_of_the_screen() {
+/// The sample cell with traffic and a dead node, in which every name begins with `start`.
+fn with_names(start: &str) -> Stage {
     let mut stage = Stage::new(Theme::ASCII);
+    let name = |kind: &str, i: usize| format!("{start}{kind}{i}");
     let mut names = table();
-    for (task, name) in names.tasks.iter_mut().zip(["\u{5de6}\u{8155}", "e\u{301}e\u{301}e\u{301}", "hoist"])
-    {
-        task.name = name.into();
-    }
-    for node in 0..NODES.len() {
-        let identity = identity(node, 1);
+    names.nodes.iter_mut().enumerate().for_each(|(i, node)| node.name = name("n", i));
+    names.tasks.iter_mut().enumerate().for_each(|(i, task)| task.name = name("t", i));
+    names.ports.iter_mut().enumerate().for_each(|(i, port)| port.name = name("p", i));
+    for (node, events) in traffic().into_iter().enumerate() {
+        let identity = NodeIdentity { node: name("n", node), ..identity(node, 1) };
         stage.feed(ms(1_000), node, Feed::Attached { identity, pid: 1, build: "imrs 0.1.0".into() });
         stage.frame(ms(1_000), node, ServerFrame::Table(names.clone()));
         stage.frame(ms(1_000), node, ServerFrame::Snapshot(snapshot(node)));
+        stage.frame(ms(1_000), node, ServerFrame::Events(events));
     }
-    stage.keys(NOW, "3");
-    let buffer = stage.draw(NOW, 120, 40);
-    let row = |y: u16| -> Vec<&str> { (0..120).map(|x| buffer[(x, y)].symbol()).collect() };
-    let at = |y: u16, word: &str| (0..120).find(|&x| row(y)[x..].concat().starts_with(word));
-    let titles = (0..40).find(|&y| at(y, "ARRIVED").is_some()).unwrap();
-    let column = at(titles, "ARRIVED");
-    for (y, standing) in (titles + 1..).zip(["arrived", "arrived", "missing"]) {
-        assert_eq!(at(y, standing), column, "{}", text(&buffer));
+    stage.lose(ms(1_100), 2);
+    stage
+}
+
+/// With characters that are two columns wide or have no width, everything but the names is where it is with other names
+/// of the same width.
+#[test]
+fn names_are_measured_in_columns_of_the_screen() {
+    const LATER: Duration = ms(1_700);
+    for keys in [
+        "", "jj", "2", "2\n", "3", "4", "4l--", "5", "6", "6akk", "7", "8", "8j", "8x", "?", "o", " ",
+        ":port ", ":node ",
+    ] {
+        for width in [40, 47, 64, 80, 99, 120, 161, 200] {
+            let draw = |start: &str| {
+                let mut stage = with_names(start);
+                stage.typed(LATER, (width, 40), keys);
+                stage.draw(LATER, width, 40)
+            };
+            let (plain, wide) = (draw("QXQXQ"), draw("\u{5de6}\u{8155}e\u{301}"));
+            let named = text(&wide).contains('\u{5de6}');
+            assert!(named || keys == "?" || keys == "8x", "{keys} at {width}: {}", text(&wide));
+            for at in (0..40).flat_map(|y| (0..width).map(move |x| (x, y))) {
+                let (plain, wide) = (plain[at].symbol(), wide[at].symbol());
+                // A wide character that has room for its half only is left out.
+                let is_name = plain == "Q" || plain == "X";
+                assert!(plain == wide || is_name, "{keys} at {width}: {at:?} {plain} {wide}");
+            }
+        }
     }
 }
 
@@ -207,6 +237,8 @@ fn no_title_is_overwritten() {
             ("6akk", &["AGO", "KIND", "OBJECT"]),
             ("2lj", &["REMAIN", "VERDICT"][..if width < 60 { 1 } else { 2 }]),
             ("4lkkkk", &["TIME"]),
+            ("5", &["OWNER", "KIND", "LEFT"]),
+            ("8", &["PLACE", "PROBLEM"]),
             ("?jjjj", &[]),
         ] {
             let shown = Stage::busy(Theme::ASCII).typed(NOW, (width, 24), keys);
@@ -282,5 +314,34 @@ fn figures_of_the_port_say_since_when_they_count() {
         assert!(start.starts_with(" since start: "), "{start}");
         let attached = shown.lines().find(|line| line.contains("service p50")).unwrap();
         assert!(attached.starts_with(" since attached: ") && !attached.contains("since start"), "{attached}");
+    }
+    // The fill is of the last samples, and `bypassed` is a state of now.
+    let mut stage = Stage::busy(Theme::ASCII);
+    let queue = QueueView { handled: true, bypassed: 3, bypass_limit: 9, queue: Vec::new() };
+    let ports = vec![PortDetail { task: TaskId(1), port: BEAT, age_us: 0, queue }];
+    stage.frame(ms(1_100), 1, ServerFrame::Detail(Detail { mono_us: 5_100_000, ports }));
+    for width in [80, 120, 200] {
+        let shown = stage.typed(NOW, (width, 30), "2l");
+        let row = |part: &str| {
+            let row = shown.lines().find(|line| line.contains(part));
+            row.unwrap_or_else(|| panic!("{part} at {width}: {shown}")).to_owned()
+        };
+        let fill = row("slack p5");
+        assert!(fill.starts_with(" last ") && fill.contains(" samples: fill "), "{fill}");
+        if width >= 120 {
+            let now = row("bypassed 3/9");
+            assert!(now.contains("buffer 3/8") && !now.contains("since"), "{now}");
+        }
+        stage.keys(NOW, "1");
+    }
+}
+
+/// At forty columns the verdict of a large cell is said in fewer words, and is whole.
+#[test]
+fn a_long_verdict_is_said_in_fewer_words() {
+    let stage = Stage::crowd_at_work(Theme::ASCII);
+    for (width, said) in [(40, "model: conforms, 2 nodes UNKNOWN"), (80, "steps, 2 nodes UNKNOWN")] {
+        let shown = stage.text(CROWD_NOW, width, 24);
+        assert!(shown.lines().any(|line| line.trim_end().ends_with(said)), "{width}: {shown}");
     }
 }

@@ -7,7 +7,8 @@ use imrs_monitor::app::Msg;
 use imrs_monitor::rows::Sort;
 use imrs_monitor::store::health::Place;
 use imrs_monitor::theme::Theme;
-use imrs_wire::obs::ServerFrame;
+use imrs_protocol::{TaskId, Ticks};
+use imrs_wire::obs::{HeldBack, HeldTask, ServerFrame};
 
 fn click(stage: &mut Stage, column: u16, row: u16) {
     let kind = MouseEventKind::Down(MouseButton::Left);
@@ -76,22 +77,67 @@ fn a_command_shows_a_node_that_was_folded() {
     assert!(selected.contains("task30"), "{shown}");
 }
 
-#[test]
-fn the_row_of_a_restarted_node_says_which_incarnation_it_is_and_how_many_died() {
+/// A cell whose first node has been started nine times, and then sends its state each second.
+fn restarted() -> Stage {
     let mut stage = Stage::cell(Theme::ASCII);
     for incarnation in 2..10 {
         stage.lose(ms(1_100), 0);
         stage.attach(ms(1_110), 0, incarnation);
     }
-    let shown = stage.text(ms(1_150), 120, 24);
-    assert!(shown.contains("up 4m12s incarnation 9, 8 deaths"), "{shown}");
-    assert!(stage.text(ms(1_150), 200, 24).contains("incarnation 9, 8 deaths"));
+    stage
+}
+
+/// The row of a node.
+fn row_of(shown: &str, node: &str) -> String {
+    let row = shown.lines().skip(2).find(|line| line.split_whitespace().any(|word| word == node));
+    row.unwrap_or_else(|| panic!("{shown}")).to_owned()
+}
+
+#[test]
+fn the_row_of_a_restarted_node_says_which_incarnation_it_is_and_how_many_died() {
+    let stage = restarted();
+    for width in 40..=200 {
+        let shown = stage.text(ms(1_150), width, 24);
+        assert!(row_of(&shown, "nl").contains(" inc 9, 8 deaths "), "{width}: {shown}");
+    }
+    for width in [120, 200] {
+        let shown = stage.text(ms(1_150), width, 24);
+        assert!(row_of(&shown, "nl").contains(" inc 9, 8 deaths up 4m12s "), "{width}: {shown}");
+    }
+    // What came before is also said while the node is dead or held back.
+    let mut dead = restarted();
+    dead.lose(ms(1_120), 0);
+    for width in 40..=200 {
+        let row = row_of(&dead.text(ms(1_150), width, 24), "nl");
+        assert!(width < 60 || row.contains("DEAD"), "{width}: {row}");
+        assert!((60..80).contains(&width) || row.contains("8 deaths"), "{width}: {row}");
+    }
+    let mut held = restarted();
+    let tasks = vec![HeldTask { task: TaskId(0), remaining: Ticks(61_400_000) }];
+    held.frame(ms(1_120), 0, ServerFrame::HeldBack(HeldBack { mono_us: 5_000_000, tasks }));
+    for width in 40..=200 {
+        let row = row_of(&held.text(ms(1_150), width, 24), "nl");
+        assert!(row.contains("8 deaths") && (width < 60 || row.contains("held back")), "{width}: {row}");
+    }
     // A node that says goodbye does not count as dead.
     let mut stage = Stage::cell(Theme::ASCII);
     let bye = imrs_wire::obs::Bye { reason: imrs_wire::obs::Goodbye::Stopping };
     stage.frame(ms(1_100), 0, ServerFrame::Bye(bye));
     stage.attach(ms(1_110), 0, 2);
-    assert!(stage.text(ms(1_150), 120, 24).contains("incarnation 2 "));
+    assert!(stage.text(ms(1_150), 120, 24).contains("inc 2 up"));
+}
+
+/// A state that is too long is left out in whole texts: a countdown or a number that is cut would be wrong.
+#[test]
+fn the_state_of_a_node_is_never_cut_in_a_word() {
+    let whole = Stage::busy(Theme::ASCII);
+    for width in 60..=200 {
+        let row = row_of(&whole.text(ms(1_150), width, 24), "nr");
+        assert!(
+            row.contains(" up 4m12s ") && row.contains("tr") == row.contains(" transit 1 "),
+            "{width}: {row}"
+        );
+    }
 }
 
 /// Counters that have grown in the last five seconds are shown with `+`; other counters are shown as their count since
@@ -143,21 +189,60 @@ fn each_node_has_a_line_of_its_traffic_and_of_its_slack() {
     let (traffic, slack) = bars.split_at(bars.len() / 2);
     assert!(traffic.is_sorted() && traffic.first() < traffic.last(), "{row}");
     assert!(slack.iter().rev().is_sorted() && slack.first() > slack.last(), "{row}");
-    // A narrow screen has no room for sparklines, and for a new node there is nothing to show.
-    assert!(!stage.text(ms(13_050), 64, 24).contains('▇'));
+    // For a new node there is nothing to show.
+    assert!(!row_of(&stage.text(ms(13_050), 200, 24), "nl").contains('▇'));
 }
 
+/// Sparklines of a restarted node have room beside its longer state, also on a screen of 80 columns while all is well.
+#[test]
+fn a_restarted_node_has_lines_of_its_traffic_too() {
+    let mut stage = restarted();
+    let mut state = snapshot(0);
+    for second in 1..=12_u64 {
+        state.mono_us += 1_000_000;
+        state.tasks[0].view.ports[1].counters.delivered += 10 * second;
+        stage.frame(ms(1_200 + 1_000 * second), 0, ServerFrame::Snapshot(state.clone()));
+    }
+    for width in [120, 200] {
+        let row = row_of(&stage.text(ms(13_250), width, 24), "nl");
+        let beside = row.split_once("8 deaths").unwrap().1.split_once("0/2").unwrap().0;
+        let line = beside.split_whitespace().next_back().unwrap();
+        assert!(line.len() >= 5 && line.chars().is_sorted(), "{width}: {row}");
+    }
+}
+
+/// The states take what their texts need, and no more: everything else is for the health.
 #[test]
 fn the_health_has_what_the_other_columns_do_not_need() {
-    for (width, least) in [(80, 15), (120, 20), (200, 60)] {
-        let shown = Stage::crowd(Theme::ASCII).text(CROWD_NOW, width, 24);
-        let at = shown.lines().nth(2).unwrap().find("HEALTH").unwrap();
-        assert!(usize::from(width) - at >= least, "{width}: {at}");
+    let mut dead = Stage::busy(Theme::ASCII);
+    dead.lose(ms(1_120), 2);
+    let crowd = Stage::crowd(Theme::ASCII);
+    for (width, least) in [(64, 17), (80, 18), (90, 24), (120, 32), (200, 60)] {
+        for (stage, now) in [(&dead, ms(1_700)), (&crowd, CROWD_NOW)] {
+            let shown = stage.text(now, width, 40);
+            let at = shown.lines().nth(2).unwrap().find("HEALTH").unwrap();
+            assert!(usize::from(width) - at >= least, "{width}: {at}: {shown}");
+        }
     }
-    let wide = Stage::crowd(Theme::ASCII).text(CROWD_NOW, 120, 24);
-    assert!(wide.contains("!! dead, last state kept"), "{wide}");
     // The sum of a whole cell is longer than the number of a port, and is not cut.
     assert!(Stage::crowd(Theme::ASCII).text(CROWD_NOW, 80, 24).contains("18/720 "));
+}
+
+/// A list with a scrollbar has the columns of a list without one.
+#[test]
+fn a_scrollbar_takes_no_column_of_the_table() {
+    let stage = Stage::cell(Theme::ASCII);
+    for width in [60, 80, 90, 116, 160] {
+        let titles = |height| {
+            let shown = stage.text(CROWD_NOW, width, height);
+            let line = shown.lines().nth(2).unwrap();
+            line.split_whitespace()
+                .filter(|word| !word.contains(char::is_numeric))
+                .map(str::to_owned)
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(titles(12), titles(40), "{width}");
+    }
 }
 
 #[test]

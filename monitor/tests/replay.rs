@@ -1,9 +1,7 @@
 //! Tests of recordings: writing and opening them, moving in them, and drawing them.
 
-use crate::common::{
-    BEAT, LIFT, Stage, events, identity, ms, observed, snapshot, styles, table, text, whole_film,
-};
-use crossterm::event::{KeyCode, KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
+use crate::common::{BEAT, LIFT, Stage, events, identity, ms, observed, snapshot, table, whole_film};
+use crossterm::event::KeyCode;
 use imrs_monitor::app::{App, Effect, Msg};
 use imrs_monitor::record::{Tape, free_name};
 use imrs_monitor::replay::{Film, Player};
@@ -334,62 +332,4 @@ fn words_of_a_recording_move_no_cursor() {
     let (text, json) = (report::text_of_replay(&player, None), report::json_of_replay(&player, None));
     assert!(text.contains("a\\x1b[2Jb") && text.contains("c\\x9b2J"), "{text}");
     assert!(!text.contains('\u{1b}') && !json.contains('\u{1b}') && json.is_ascii());
-}
-
-#[test]
-fn recordings_look_as_recorded() {
-    let scenes =
-        [("replay_lost", "}"), ("replay_end", "}}}"), ("replay_events", "6}}a"), ("replay_start", "")];
-    for (name, keys) in scenes {
-        for (width, height) in [(40, 12), (80, 24), (120, 40)] {
-            let mut all = String::new();
-            for theme in [Theme::COLOUR, Theme::MONO, Theme::ASCII] {
-                let mut stage = stage(theme);
-                stage.typed(ms(0), (width, height), keys);
-                let buffer = stage.buffer(ms(0), width, height);
-                all += &format!("=== {}\n{}--- styles\n{}", theme.name, text(&buffer), styles(&buffer));
-            }
-            insta::with_settings!({ prepend_module_to_snapshot => false, omit_expression => true }, {
-                insta::assert_snapshot!(format!("{name}_{width}x{height}"), all);
-            });
-        }
-    }
-}
-
-/// The panel of a finding takes rows from the overview, and a click below it selects nothing.
-#[test]
-fn clicks_hit_what_is_drawn_beside_a_finding() {
-    let click = |stage: &mut Stage, row: usize| {
-        let kind = MouseEventKind::Down(MouseButton::Left);
-        let row = u16::try_from(row).unwrap();
-        stage
-            .app
-            .update(Msg::Mouse(MouseEvent { kind, column: 10, row, modifiers: KeyModifiers::NONE }), ms(0));
-    };
-    let mut stage = stage(Theme::ASCII);
-    let shown = stage.typed(ms(0), (80, 15), "G");
-    let rows: Vec<_> = shown.lines().collect();
-    let selected = |shown: &str| shown.lines().position(|line| line.starts_with('>'));
-    let last = selected(&shown).unwrap();
-    assert!(last > 3, "the list is on its last page: {shown}");
-    click(&mut stage, last - 1);
-    let shown = text(&stage.draw(ms(0), 80, 15));
-    let name = rows[last - 1].split_whitespace().next().unwrap();
-    assert!(shown.lines().nth(selected(&shown).unwrap()).unwrap().contains(name), "{name}: {shown}");
-    let panel = rows.iter().position(|row| row.contains("lines more")).unwrap();
-    click(&mut stage, panel);
-    assert_eq!(text(&stage.draw(ms(0), 80, 15)), shown);
-}
-
-#[test]
-fn no_size_of_a_recording_panics() {
-    for keys in ["", "}}}", "3", "2", "6", "?"] {
-        let mut stage = stage(Theme::COLOUR);
-        stage.keys(ms(0), keys);
-        for width in [0, 1, 5, 39, 60, 100] {
-            for height in 0..16 {
-                let _ = stage.buffer(ms(0), width, height);
-            }
-        }
-    }
 }

@@ -6,6 +6,7 @@ use crossterm::event::KeyCode;
 use imrs_monitor::app::Screen;
 use imrs_monitor::theme::Theme;
 use imrs_monitor::view::{explain_column, view};
+use imrs_wire::obs::{Pong, ServerFrame};
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 use std::collections::BTreeSet;
@@ -73,6 +74,112 @@ fn abbreviations(shown: &str) -> BTreeSet<String> {
     plain.filter(is_short).map(str::to_owned).collect()
 }
 
+/// The help of the screen that these keys open: what it says about columns, figures, the header and the banner.
+fn explained(stage: &mut Stage, now: Duration, keys: &str, width: u16) -> Vec<String> {
+    let help = stage.typed(now, (width, 400), &format!("{keys}?"));
+    let lines = help.lines().skip_while(|line| !line.contains("COLUMNS AND FIGURES"));
+    let lines: Vec<_> =
+        lines.take_while(|line| !line.contains("KEYS ON OTHER SCREENS")).map(str::to_owned).collect();
+    stage.keys(now, "?");
+    lines
+}
+
+/// The names in the left column of the help.
+fn names(lines: &[String]) -> Vec<String> {
+    let headings = ["COLUMNS AND FIGURES", "LISTS AND NUMBERS", "THE HEADER", "THE BANNER"];
+    let is_heading = |line: &&String| headings.iter().any(|heading| line.trim_start().starts_with(heading));
+    let left =
+        lines.iter().filter(|line| !is_heading(line)).map(|line| line.chars().take(16).collect::<String>());
+    left.map(|name| name.trim().to_owned()).filter(|name| !name.is_empty()).collect()
+}
+
+/// The words of at most four letters of plain English that the screens use. Other such words are abbreviations.
+const PLAIN: &str = "down left this time ago all and at back by can cell dead done each fill for gave go goes has \
+                     held help here in is it its keep kept lane last late lost most next no node not now of ok on \
+                     open out over port row run runs seen send sent sort task the they took up vain wait was were \
+                     what with yet quit risk a b c e q s x";
+/// The names of the sample cells and of a key, and beginnings of names in the heads of a matrix.
+const NAMES: &str = "imrs nl nr nh xnh armL armR beam beat lift halt hois tas Esc";
+
+#[test]
+fn every_short_word_of_a_screen_is_english_or_explained() {
+    let mut unknown = BTreeSet::new();
+    for (keys, _) in SCREENS {
+        for (mut stage, now) in stages() {
+            let shown = stage.typed(now, (200, 60), keys);
+            stage.typed(now, (200, 60), "1");
+            let known = names(&explained(&mut stage, now, keys, 200)).join(" ");
+            let is_known = |word: &str| {
+                let mut plain = PLAIN.split_whitespace().filter(|plain| plain.eq_ignore_ascii_case(word));
+                let mut exact = NAMES.split(' ').chain(known.split(|c: char| !c.is_alphanumeric()));
+                plain.next().is_some() || exact.any(|name| name == word)
+            };
+            let words = shown.split(|c: char| !c.is_alphanumeric() && c != '_');
+            let short = words.filter(|word| {
+                word.len() <= 4
+                    && word.chars().all(char::is_alphabetic)
+                    && word.chars().any(char::is_lowercase)
+            });
+            unknown.extend(short.filter(|word| !is_known(word)).map(|word| format!("{keys}: {word}")));
+        }
+    }
+    assert!(unknown.is_empty(), "neither plain English nor in the help: {unknown:?}");
+}
+
+/// Figures that are no words: where they are shown, and what the help calls them.
+#[test]
+fn the_help_explains_figures_that_are_no_words() {
+    let mut restarted = Stage::busy(Theme::ASCII);
+    restarted.lose(ms(1_110), 2);
+    restarted.attach(ms(1_120), 2, 2);
+    let mut pinged = Stage::busy(Theme::ASCII);
+    for node in 0..3 {
+        let pong = Pong { echo_us: 1_100_000, mono_us: 5_100_000 };
+        pinged.frame(ms(1_120), node, ServerFrame::Pong(pong));
+    }
+    let busy = || Stage::busy(Theme::ASCII);
+    let crowd = || Stage::crowd_at_work(Theme::ASCII);
+    let cases = [
+        (busy(), ms(1_150), "j", (80, 12), "2/14", "37/156"),
+        (restarted, ms(1_150), "", (120, 40), "inc 2, 1 death", "inc 9, 8 deaths"),
+        (busy(), NOW, "", (120, 40), " (pid ", "pid"),
+        (pinged, ms(1_150), "4", (120, 40), "clocks +-", "clocks +-59ms"),
+        (busy(), NOW, "4", (120, 40), "each event", "100ms a row"),
+        (busy(), NOW, "4---", (120, 40), " a row", "100ms a row"),
+        (crowd(), CROWD_NOW, "4", (64, 20), " >34", "3< >32"),
+        (crowd(), CROWD_NOW, "6kk", (120, 40), "+2 new", "+2 new"),
+        (crowd(), CROWD_NOW, "7", (120, 40), "(20%)", "5/34 (17%)"),
+    ];
+    for (mut stage, now, keys, size, figure, name) in cases {
+        let shown = stage.typed(now, size, keys);
+        assert!(shown.contains(figure), "{keys}: {figure}: {shown}");
+        let screen = &keys[..keys.len().min(1)].replace('j', "");
+        stage.typed(now, (200, 60), "1");
+        let lines = explained(&mut stage, now, screen, 200);
+        assert!(names(&lines).iter().any(|known| known == name), "{keys}: {name}: {lines:#?}");
+    }
+}
+
+/// On a narrow screen a name that has no room beside its explanation stands above it.
+#[test]
+fn the_help_cuts_no_name() {
+    for (keys, _) in SCREENS {
+        let wide = names(&explained(&mut Stage::busy(Theme::ASCII), ms(1_150), keys, 200));
+        assert!(wide.len() > 20, "{wide:?}");
+        for width in [40, 50, 59, 60, 80] {
+            let narrow = explained(&mut Stage::busy(Theme::ASCII), ms(1_150), keys, width);
+            for name in &wide {
+                let is_whole = |line: &String| {
+                    line.trim_start()
+                        .strip_prefix(name)
+                        .is_some_and(|rest| rest.is_empty() || rest.starts_with(' '))
+                };
+                assert!(narrow.iter().any(is_whole), "{keys} at {width}: {name}: {narrow:#?}");
+            }
+        }
+    }
+}
+
 /// A walk over the texts of all screens: a new abbreviation without a line in the help fails here.
 #[test]
 fn every_abbreviation_of_a_screen_stands_in_its_help() {
@@ -91,12 +198,8 @@ fn every_abbreviation_of_a_screen_stands_in_its_help() {
                 }
                 stage.typed(now, (width, height), "1");
             }
-            let help = stage.typed(now, (200, 300), &format!("{keys}?"));
-            let columns = help.lines().skip_while(|line| !line.contains("COLUMNS AND FIGURES"));
-            let columns = columns.take_while(|line| !line.contains("KEYS ON OTHER SCREENS"));
-            let keys_of: String =
-                columns.map(|line| line.chars().take(16).collect::<String>() + "\n").collect();
-            let known: BTreeSet<String> = keys_of
+            let known: BTreeSet<String> = names(&explained(&mut stage, now, keys, 200))
+                .join("\n")
                 .split_whitespace()
                 .map(|word| word.trim_end_matches(|c: char| c.is_ascii_digit()).to_owned())
                 .collect();

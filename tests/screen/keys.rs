@@ -110,6 +110,26 @@ fn commands_are_typed_and_unknown_ones_told() {
     terminal.assert_restored();
 }
 
+/// A terminal that answers OSC 11 says whether its background is light, and the theme fits that.
+#[test]
+fn the_theme_fits_the_background_that_the_terminal_names() {
+    if !tmux_is_here() {
+        return;
+    }
+    let demo = Live::steady();
+    let terminal = Terminal::open(demo.dir());
+    for (background, theme) in [("#f8f8f0", "light"), ("#101418", "colour")] {
+        terminal.tmux(&["set-option", "-g", "window-style", &format!("bg={background}")]);
+        // By the name that tmux gives itself, the monitor does not ask: GNU screen has the same, and does not answer.
+        terminal.start_monitor("COLORFGBG= TERM=tmux-256color");
+        let settings = terminal.press(&["o"], "how the screen looks");
+        let line = settings.lines().find(|line| line.contains("how the screen looks")).expect("a line");
+        assert!(line.contains(&format!(" {theme} ")), "{background}: {line}");
+        terminal.press(&["Escape"], "[1 Over]");
+        terminal.leave();
+    }
+}
+
 /// What was typed in one run comes back in the next one; a file that is not the monitor's is reported and costs nothing.
 #[test]
 fn typed_lines_outlast_the_monitor() {

@@ -2,7 +2,7 @@
 
 use super::terminal::{Terminal, tmux_is_here, watched};
 use crate::support::live::Live;
-use crate::support::{excused, run_in, runtime_dir, side_by_side, signal, wait_until};
+use crate::support::{excused, is_quiet, run_in, runtime_dir, side_by_side, signal, wait_until};
 use rustix::process::Signal;
 use std::io::{Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -99,7 +99,7 @@ fn a_restarted_node_has_a_new_incarnation() {
     terminal.start_monitor("");
     let before = format!("nh (pid {})", demo.pid("nh"));
     let is_dead = |screen: &str| screen.lines().any(|l| l.contains(&before) && l.contains("DEAD"));
-    let is_up = |line: &str| line.contains(" up ") || line.contains(" up, held back");
+    let is_up = |line: &str| line.contains(" up ") || line.contains("held back");
     let lives_again = |screen: &str| {
         screen.lines().any(|line| line.contains("nh (pid") && !line.contains(&before) && is_up(line))
     };
@@ -151,26 +151,32 @@ fn the_demonstration_names_who_is_awaited_and_leaves_nothing_behind() {
     let terminal = Terminal::open(dir.path());
     let start = std::time::Instant::now();
     terminal.type_monitor("", "--demo");
-    terminal
-        .wait_for("who is awaited", |screen| screen.lines().any(|line| line.contains("BLOCKED BY hoist@")));
+    // Each screen has its part of the demo to show: a death and what it blocks, a flood, rejected questions.
+    let death = |s: &str| s.contains("BLOCKED BY hoist@nh - DEAD") && figure(s, "nh (pid", "DEAD").is_some();
+    let flood = |s: &str| counter(s, "part", "receive", 1) > 0 && counter(s, "grab", "response", 2) > 0;
+    terminal.wait_for("a death, a flood and rejections", |screen| death(screen) && flood(screen));
     println!("the awaited robot named after {:?}; goal 10 s", start.elapsed());
-    // Each of these screens must show its part of the demo.
     for (key, shown) in [
-        ("2", "since attached: service"),
         ("3", "GATHERING"),
         ("4", "part#"),
         ("5", "its handler begins"),
-        ("6", "expired"),
+        ("6", "refused"),
         ("7", "transition kinds seen"),
         ("8", "next deadline"),
-        ("1", "+"),
     ] {
         terminal.keys(&[key]);
         terminal.wait_for(shown, |screen| screen.contains(shown));
     }
+    terminal.keys(&["2"]);
+    let queue = terminal
+        .wait_for("a queue", |screen| screen.contains("part at press") && remaining(screen).len() > 2);
+    assert!(remaining(&queue).is_sorted(), "not in the order of the deadlines:\n{queue}");
+    println!("each screen had something to show after {:?}; goal 10 s", start.elapsed());
+    assert!(!is_quiet() || start.elapsed() <= Duration::from_secs(10), "{:?}", start.elapsed());
     let monitor = terminal.monitor_pid();
     let folder = std::env::temp_dir().join(format!("imrs-demo-{monitor}"));
     assert!(folder.is_dir(), "{}", folder.display());
+    wait_until("parts that were sent and never arrived", || lost_parts(&folder) >= 3);
     let launcher = std::fs::read_to_string(format!("/proc/{monitor}/task/{monitor}/children"));
     let launcher = launcher.expect("the monitor's children");
     let nodes: Vec<String> = (launcher.split_whitespace())
@@ -183,4 +189,46 @@ fn the_demonstration_names_who_is_awaited_and_leaves_nothing_behind() {
     for pid in launcher.split_whitespace().chain(nodes.iter().map(String::as_str)) {
         wait_until("the demonstration's processes are gone", || !Path::new("/proc").join(pid).exists());
     }
+}
+
+/// The word of the first line with `within` that is `figure`.
+fn figure<'a>(screen: &'a str, within: &str, figure: &str) -> Option<&'a str> {
+    let mut words = screen.lines().find(|line| line.contains(within))?.split_whitespace();
+    words.find(|word| *word == figure)
+}
+
+/// A counter of the receiving end of a port: the number so many columns after the expired messages.
+fn counter(screen: &str, port: &str, usage: &str, after: usize) -> u64 {
+    let row = screen.lines().find(|line| line.contains(port) && line.contains(usage)).unwrap_or("");
+    // The cells are the port, class, usage, `4 parties`, the queue and its bar, slack, rate, and then the counters.
+    let cell = row.split_whitespace().nth(9 + after).unwrap_or("");
+    cell.trim_start_matches('+').parse().unwrap_or(0)
+}
+
+/// The remaining times of the messages on the screen of a port, in microseconds, in the order of the rows.
+fn remaining(screen: &str) -> Vec<u64> {
+    let of_row = |line: &str| {
+        let mut words = line.split_whitespace().skip_while(|word| !word.starts_with("#0."));
+        let left = words.nth(2)?.trim_start_matches('~');
+        let digits = left.trim_end_matches(char::is_alphabetic);
+        let unit = match &left[digits.len()..] {
+            "us" => 1.0,
+            "ms" => 1e3,
+            "s" => 1e6,
+            _ => return Some(0),
+        };
+        digits.parse::<f64>().ok().map(|number| (number * unit) as u64)
+    };
+    screen.lines().filter_map(of_row).collect()
+}
+
+/// How many parts the nodes of the demonstration have sent that neither entered the press's queue nor were refused.
+fn lost_parts(folder: &Path) -> i64 {
+    let said = run_in(folder, &["monitor", "--once", "--format", "json"]);
+    let Ok(state) = serde_json::from_str::<serde_json::Value>(&said.out) else { return 0 };
+    let all = |list: &serde_json::Value| list.as_array().cloned().unwrap_or_default();
+    let tasks = all(&state["nodes"]).into_iter().flat_map(|node| all(&node["tasks"]));
+    let ports = tasks.flat_map(|task| all(&task["ports"])).filter(|port| port["name"] == "part");
+    let count = |port: &serde_json::Value, name: &str| port[name].as_i64().unwrap_or(0);
+    ports.map(|port| count(&port, "sent") - count(&port, "enqueued") - count(&port, "refused")).sum()
 }

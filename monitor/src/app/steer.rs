@@ -3,11 +3,10 @@
 use super::{App, Effect, Kind, PortEnd, Screen, port_end};
 use crate::clock::{Moment, Span};
 use crate::keys::Action;
-use crate::replay::{At, Player, Ribbon};
+use crate::replay::Ribbon;
 use crate::rows::Sort;
 use crate::store::health::Place;
 use imrs_protocol::Usage;
-use std::sync::Arc;
 
 impl App {
     pub(super) fn act(&mut self, action: Action, now: Moment) -> Effect {
@@ -89,11 +88,13 @@ impl App {
 
     /// Pauses the screen, or resumes it.
     fn pause(&mut self, now: Moment) {
-        self.back = None;
+        self.back = super::wind::Back::default();
         self.frozen = match self.frozen.take() {
             Some(_) => None,
             None => Some((Box::new(self.live.clone()), now)),
         };
+        // The state of the pause is a copy of its own as soon as the nodes go on.
+        self.history.reserve(if self.frozen.is_some() { self.live.weight() } else { 0 });
         // Only the covered times are kept, because the frames would stay in memory for as long as the pause lasts.
         let film = if self.frozen.is_some() { self.history.film() } else { None };
         self.ribbon = film.as_ref().map(Ribbon::of);
@@ -103,64 +104,6 @@ impl App {
     pub(super) fn sort(&mut self, sort: Sort, inverted: bool) {
         (self.shape.sort, self.shape.inverted) = (sort, inverted);
         self.selected = None;
-    }
-
-    /// Moves in the recording. The screens keep their positions, except for the event screen, which follows the latest event.
-    fn wind(&mut self, action: Action, now: Moment) {
-        let Some(player) = &mut self.replay else { return };
-        self.held = None;
-        match action {
-            Action::StepBack => player.step_by(-1),
-            Action::StepOn => player.step_by(1),
-            Action::PreviousAnomaly => player.go_to_odd(false),
-            Action::NextAnomaly => player.go_to_odd(true),
-            Action::Oldest => player.go(0),
-            Action::Newest => player.go_to_end(),
-            _ => player.toggle(now),
-        }
-    }
-
-    /// Moves in the history before the pause. At the end of the history, the moment of the pause is shown again.
-    fn go_back(&mut self, action: Action, now: Moment) {
-        self.move_back(now, |player| match action {
-            Action::StepBack => player.step_by(-1),
-            Action::StepOn => player.step_by(1),
-            Action::PreviousAnomaly => player.go_to_odd(false),
-            Action::NextAnomaly => player.go_to_odd(true),
-            Action::Oldest => player.go(0),
-            _ => player.go_to_end(),
-        });
-    }
-
-    /// Moves to a position of the scrub bar.
-    pub(super) fn scrub_to(&mut self, place: u64, now: Moment) {
-        if let Some(player) = &mut self.replay {
-            self.held = None;
-            let ribbon = Ribbon::of(player.film());
-            player.go_to_place(&ribbon, place);
-        } else if let Some(ribbon) = self.ribbon.clone() {
-            self.move_back(now, |player| player.go_to_place(&ribbon, place));
-        }
-    }
-
-    /// Moves the position in the history. The first call makes the player of the history.
-    fn move_back(&mut self, now: Moment, go: impl FnOnce(&mut Player)) {
-        let paused = self.frozen.as_ref().map_or(now, |(_, at)| *at);
-        if self.back.is_none() {
-            let Some(film) = self.history.film() else { return };
-            let mut player = Player::new(Arc::new(film), 1.0);
-            player.seek(At::After(paused));
-            self.back = Some(Box::new(player));
-        }
-        self.held = None;
-        let Some(player) = &mut self.back else { return };
-        go(player);
-        let last = player.film().stop_at(paused);
-        if player.stop() >= last {
-            self.back = None;
-            return;
-        }
-        self.history.verdicts(player.moment()).for_each(|verdict| player.add(verdict));
     }
 
     pub(super) fn show(&mut self, screen: Screen) {

@@ -23,7 +23,7 @@ use thiserror::Error;
 
 /// The greatest number of intermediate states that are kept, so that moving back is quick.
 const KEPT: usize = 32;
-/// The approximate memory limit of the kept intermediate states, in bytes. Two states are kept even if they are larger.
+/// The approximate memory limit of the kept intermediate states, in bytes. One state is kept even if it is larger.
 const KEPT_BYTES: usize = 12 << 20;
 /// The least number of stops between two kept states.
 const APART: usize = 16;
@@ -289,11 +289,13 @@ impl Player {
                 }
             }
             next = stop.frames;
-            if self.kept.last().is_none_or(|last| number >= last.stop + self.apart) {
+            let last = self.kept.last().map_or(0, |last| last.stop);
+            if number >= last.saturating_add(self.apart) && self.make_room() {
                 self.kept.push(self.keep(number));
-                self.thin_out();
             }
             if near == Some(number) {
+                self.near = None;
+                self.make_room();
                 self.near = Some(self.keep(number));
             }
         }
@@ -305,16 +307,21 @@ impl Player {
         Kept { stop, store: self.store.clone(), step: self.step.clone() }
     }
 
-    /// Drops every second kept state, and keeps fewer from now on, until the kept states fit into their memory limit.
-    fn thin_out(&mut self) {
-        let weight = |kept: &[Kept]| kept.iter().map(|kept| kept.store.weight()).sum::<usize>();
-        while self.kept.len() > 2 && (self.kept.len() > KEPT || weight(&self.kept) > KEPT_BYTES) {
+    /// Drops every second kept state, and keeps fewer from now on, until the memory limit has room for the shown state, too.
+    /// Returns whether it has. The states of a very large cell leave room for the one that makes steps back quick alone.
+    fn make_room(&mut self) -> bool {
+        let weight = |kept: &Kept| kept.store.weight();
+        let more = self.store.weight() + self.near.as_ref().map_or(0, weight);
+        let fits =
+            |kept: &[Kept]| kept.len() < KEPT && more + kept.iter().map(weight).sum::<usize>() <= KEPT_BYTES;
+        while !self.kept.is_empty() && !fits(&self.kept) {
             let mut at = 0;
             self.kept.retain(|_| {
                 at += 1;
-                at % 2 == 1
+                at % 2 == 0
             });
-            self.apart *= 2;
+            self.apart = self.apart.saturating_mul(2);
         }
+        fits(&self.kept)
     }
 }

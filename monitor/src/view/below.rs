@@ -22,23 +22,28 @@ pub(super) const fn rows(height: u16) -> u16 {
 pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let Some(cell) = app.cell().filter(|_| canvas.height() > 0) else { return };
     // The verdict is more important than the links, so the links get the remaining room.
-    let verdict = model(app, &cell);
-    let width = verdict.iter().map(|(text, _)| columns(text)).fold(0, u16::saturating_add);
+    let label = "  model: ";
+    let (texts, ink) = model(app, &cell);
+    let fits = texts.iter().find(|text| columns(label) + columns(text) <= canvas.area.width);
+    let text = fits.or(texts.last()).map_or("", String::as_str);
+    let width = columns(label).saturating_add(columns(text));
     let room = canvas.area.width.saturating_sub(width);
     let mut x = 0;
     for (text, ink, place) in links(app, &cell, now) {
         canvas.explain(x, 0, &text);
         let start = x;
-        x = canvas.at(x, 0, room.saturating_sub(x), &text, ink);
+        let end = x.saturating_add(columns(&text));
+        canvas.at(x, 0, room.saturating_sub(x), &text, ink);
+        // Half of a wide character is not drawn, and its column stays free.
+        x = end.min(room);
         // What is said of all links is explained by the word before it.
         canvas.target(start, 0, x - start, place.map_or(Hit::Column("links"), Hit::Place));
     }
     let start = x;
     // The label explains itself, and the verdict leads to its screen.
-    canvas.explain(x, 0, "  model: ");
-    for (text, ink) in verdict {
-        x = canvas.at(x, 0, u16::MAX, &text, ink);
-    }
+    canvas.explain(x, 0, label);
+    x = canvas.at(x, 0, u16::MAX, label, Ink::Dim);
+    x = canvas.at(x, 0, u16::MAX, text, ink);
     canvas.target(start, 0, x.saturating_sub(start), Hit::Tab(Screen::Model));
 }
 
@@ -132,8 +137,9 @@ fn heard(app: &App, cell: &Name, at: NodeId, peer: NodeId, now: Moment) -> Optio
     last.snapshot.links.iter().find(|link| link.peer == peer)?.heard_us
 }
 
-/// Whether all nodes together behave as the verified state machine, according to the replay of their recordings.
-fn model(app: &App, cell: &Name) -> Vec<(String, Ink)> {
+/// Whether all nodes together behave as the verified state machine, according to the replay of their recordings: in
+/// texts of which each is shorter than the one before.
+fn model(app: &App, cell: &Name) -> (Vec<String>, Ink) {
     let store = app.store();
     let (mut steps, mut unknown, mut violated) = (0_u64, 0, None);
     let mut incarnations = 0;
@@ -147,11 +153,15 @@ fn model(app: &App, cell: &Name) -> Vec<(String, Ink)> {
             Verdict::Violates { .. } => violated = violated.or_else(|| Some(incarnation.node.to_string())),
         }
     }
-    let (text, ink) = match violated {
-        Some(node) => (format!("{node} VIOLATES it (7)"), Ink::Bad),
-        None if unknown == incarnations => ("UNKNOWN, not recorded".to_owned(), Ink::Dim),
-        None if unknown > 0 => (format!("conforms in {steps} steps, {unknown} nodes UNKNOWN"), Ink::Warn),
-        None => (format!("conforms in {steps} steps"), Ink::Good),
-    };
-    vec![("  model: ".to_owned(), Ink::Dim), (text, ink)]
+    let judged = format!("conforms in {steps} steps");
+    match violated {
+        Some(node) => (vec![format!("{node} VIOLATES it (7)"), "VIOLATED (7)".to_owned()], Ink::Bad),
+        None if unknown == incarnations => (vec!["UNKNOWN, not recorded".to_owned()], Ink::Dim),
+        None if unknown > 0 => {
+            let unknown = if unknown == 1 { "1 node".to_owned() } else { format!("{unknown} nodes") };
+            let texts = [format!("{judged}, {unknown} UNKNOWN"), format!("conforms, {unknown} UNKNOWN")];
+            (texts.into(), Ink::Warn)
+        }
+        None => (vec![judged, "conforms".to_owned()], Ink::Good),
+    }
 }

@@ -14,22 +14,49 @@ pub(super) const HEALTH_CELL: usize = 10;
 const OPEN: u16 = 12;
 /// The least width of the column with the names.
 const NAME: u16 = 14;
+/// The least width of the column with the queues: its title.
+const QUEUE: u16 = 5;
+/// The shortest text of a node's state never gets fewer columns than it needs, up to this number.
+const SHORTEST_STATE: u16 = 20;
+/// The health has so many columns, if its texts need them, before sparklines and long states get more than their least.
+const HEALTH_FIRST: u16 = 32;
+/// How many columns more than its least the state may take for sparklines.
+const SPARKS: u16 = 12;
 
-/// The columns for a screen of this width, and the indices of the cells that they show. `longest` has the widths of the
-/// longest name and the longest queue on the screen. The width that these do not need is for the health, and no number
-/// is cut. `chosen` are the user's own cells; cells at the end that have no room are left out.
-pub(super) fn columns(width: u16, longest: (u16, u16), chosen: &[usize]) -> (Vec<Column>, Vec<usize>) {
-    let (name, state, queue, cells): (u16, u16, u16, &[usize]) = match width {
-        0..60 => (0, 0, 5, &[0, 2, 3, HEALTH_CELL]),
-        60..80 => (18, 14, 5, &[0, 1, 2, 3, HEALTH_CELL]),
-        80..90 => (20, 22, 5, &[0, 1, 2, 3, 5, HEALTH_CELL]),
-        90..116 => (20, 28, 5, &[0, 1, 2, 3, 5, HEALTH_CELL]),
-        116..160 => (26, 32, 11, &[0, 1, 2, 3, 4, 5, 6, 7, HEALTH_CELL]),
-        _ => (36, 40, 11, &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, HEALTH_CELL]),
+/// How many columns the longest cells on the screen need.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Needs {
+    pub name: u16,
+    pub queue: u16,
+    /// The longest state.
+    pub state: u16,
+    /// The longest state of a node, when each node has the shortest of its texts.
+    pub shortest_state: u16,
+    /// The longest state of a node with sparklines after it; and when each node has the shortest of its texts.
+    pub sparks: (u16, u16),
+    pub health: u16,
+}
+
+/// The columns of a list with `width` columns on a screen with `screen` columns, and the indices of the cells that they
+/// show. The screen's width alone decides which columns there are, so that a scrollbar removes none. Names, queues and
+/// states take what their texts need, and the health takes the rest; no number is cut. `chosen` are the user's own
+/// cells; cells at the end that have no room are left out.
+pub(super) fn columns(
+    (screen, width): (u16, u16),
+    needs: Needs,
+    chosen: &[usize],
+) -> (Vec<Column>, Vec<usize>) {
+    let (name, state, cells): (u16, u16, &[usize]) = match screen {
+        0..60 => (0, 0, &[0, 2, 3, HEALTH_CELL]),
+        60..80 => (18, 14, &[0, 1, 2, 3, HEALTH_CELL]),
+        80..90 => (20, 22, &[0, 1, 2, 3, 5, HEALTH_CELL]),
+        90..116 => (20, 28, &[0, 1, 2, 3, 5, HEALTH_CELL]),
+        116..160 => (26, 32, &[0, 1, 2, 3, 4, 5, 6, 7, HEALTH_CELL]),
+        _ => (36, 40, &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, HEALTH_CELL]),
     };
-    let name = if name == 0 { 0 } else { longest.0.clamp(NAME, name) };
-    let queue = queue.max(longest.1);
-    let column = |&cell: &usize| match cell {
+    let name = if name == 0 { 0 } else { needs.name.clamp(NAME, name) };
+    let queue = needs.queue.max(QUEUE);
+    let column = |&cell: &usize, state: u16| match cell {
         0 => Column::left("NODE/TASK/PORT", name),
         1 => Column::left("STATE", state),
         2 => Column::left("QUEUE", queue),
@@ -41,22 +68,39 @@ pub(super) fn columns(width: u16, longest: (u16, u16), chosen: &[usize]) -> (Vec
         8 => Column::right("RES", 4),
         9 => Column::right("T/O", 4),
         // On the narrowest screens only a sign has room.
-        _ if width < 60 => Column::left("!", 2),
+        _ if screen < 60 => Column::left("!", 2),
         _ => Column::left("HEALTH", 0),
     };
-    if chosen.is_empty() || width < 60 {
-        return (cells.iter().map(column).collect(), cells.to_vec());
-    }
-    let mut cells: Vec<usize> = std::iter::once(0).chain(chosen.iter().copied()).collect();
-    let taken = |cells: &[usize]| {
-        let widths =
-            cells.iter().map(column).map(|column| if column.width == 0 { OPEN } else { column.width });
-        widths.map(|width| width + 1).fold(0, u16::saturating_add)
+    let taken = |cells: &[usize], state: u16, open: u16| {
+        let width = |cell| match column(cell, state).width {
+            0 => open,
+            width => width,
+        };
+        cells.iter().map(|cell| width(cell) + 1).fold(0, u16::saturating_add)
     };
-    while taken(&cells) > width && cells.len() > 1 {
-        cells.pop();
+    let mut cells = cells.to_vec();
+    if !chosen.is_empty() && screen >= 60 {
+        cells = std::iter::once(0).chain(chosen.iter().copied()).collect();
+        while taken(&cells, needs.state.min(state).max(1), OPEN) > width && cells.len() > 1 {
+            cells.pop();
+        }
     }
-    (cells.iter().map(column).collect(), cells)
+    // A state of one column stands for none, because a column without a width shares what remains.
+    let shared = (width + 2).saturating_sub(taken(&cells, 1, 0));
+    let state = state_width(shared, state, needs);
+    (cells.iter().map(|cell| column(cell, state)).collect(), cells)
+}
+
+/// The width of the states, if states and health share `shared` columns. `least` is for states of any length.
+fn state_width(shared: u16, least: u16, needs: Needs) -> u16 {
+    // Rounded up, so that a countdown that loses a digit does not move the columns.
+    let rounded = |need: u16, step: u16| need.div_ceil(step) * step;
+    let spare = shared.saturating_sub(rounded(needs.health, 8).min(HEALTH_FIRST));
+    let text = rounded(needs.state, 4).min(spare.max(least));
+    let (sparks, shortest_sparks) = needs.sparks;
+    let sparks = sparks.min(least + SPARKS).min(spare);
+    let sparks = if sparks < shortest_sparks { 0 } else { sparks };
+    text.max(needs.shortest_state.min(SHORTEST_STATE)).max(sparks).max(1)
 }
 
 /// The sort order that a click on this column title chooses.

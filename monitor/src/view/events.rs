@@ -52,7 +52,11 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
         };
         let ago = Span(now.saturating_sub(entry.first)).to_string();
         let (object, detail) = (entry.object(), times(entry, now) + &entry.detail());
-        let narrow = format!("{object} {detail}");
+        // Without a column for the node, an event without another object is about its node.
+        let narrow = match object.as_str() {
+            "" => format!("{} {detail}", entry.node),
+            _ => format!("{object} {detail}"),
+        };
         let mut cells = vec![(ago.as_str(), Ink::Dim), (mark(level), ink)];
         if widths.len() > 4 {
             cells.extend([(entry.node.shown(), Ink::Plain), (entry.kind(), ink)]);

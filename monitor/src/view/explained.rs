@@ -5,8 +5,18 @@ use crate::app::Screen;
 /// What `INSECURE` in the header says.
 pub(super) const INSECURE: &str = "the nodes neither encrypt nor authenticate their datagrams";
 
+/// What lists and numbers of all screens say.
+pub(super) const LISTS: &[(&str, &str)] = &[
+    ("37/156", "the selected line, of so many lines, if not all have room"),
+    ("12k 3M", "thousands, millions"),
+    ("us ms", "microseconds, milliseconds; s, m, h: seconds, minutes, hours"),
+    ("-", "nothing to show, or not known yet"),
+];
+
 /// What the header says.
 pub(super) const HEADER: &[(&str, &str)] = &[
+    ("Over Rdv Prob", "the screens 1 overview, 3 rendezvous, 8 problems; 2 and 4 to 7 by their names"),
+    ("(1/2, C: next)", "the first of two cells; the key C shows the next one"),
     ("3/4 nodes", "so many nodes are up, of those that the cell declares"),
     ("LIVE", "what the nodes report now"),
     ("NO NODE UP", "every node of the cell has ended"),
@@ -37,6 +47,10 @@ pub(super) const BANNER: &[(&str, &str)] = &[
 const OVERVIEW: &[(&str, &str)] = &[
     ("NODE/TASK/PORT", "a node and its process, its tasks, their ports"),
     ("STATE", "what it does; of a port: class, usage, parties"),
+    ("up 4m", "the node runs, and how long it has"),
+    ("inc 9, 8 deaths", "the node's incarnation: its starts are numbered; so often it died before"),
+    ("pid", "the number of the node's process"),
+    ("run", "the task computes, or waits for nothing of the cell; otherwise what it waits for"),
     ("lines", "at the end of a node's state: messages a second, and least slack, of the last minute"),
     ("10 nodes", "the healthy nodes of a large cell; Enter shows them"),
     ("QUEUE", "messages waiting / space; of a waitfor: arrived / members"),
@@ -140,6 +154,10 @@ const TIMELINE: &[(&str, &str)] = &[
     ("WHAT", "what happened"),
     ("#12 r3", "a message's number; a round"),
     ("+2", "so many more in this row"),
+    ("clocks +-59ms", "the greatest error of a time of another node, marked with ~"),
+    ("100ms a row", "how much time a row stands for, or `each event`: + and - change it"),
+    ("+3 new", "so many rows came after the last one that is shown"),
+    ("3< >32", "so many lanes to the left and to the right have no room; +1>: their events"),
     ("+12 elsewhere", "events in lanes without room; the busiest lanes are shown, 4 chooses again"),
 ];
 
@@ -164,12 +182,16 @@ const EVENTS: &[(&str, &str)] = &[
     ("KIND", "what happened"),
     ("OBJECT", "the message, port or task"),
     ("DETAIL", "the reason, and the other task"),
+    ("pid", "the number of the node's process"),
+    ("following", "new events appear at the bottom; going up holds the list"),
+    ("+2 new", "so many events came after the last one that is shown"),
 ];
 
 const MODEL: &[(&str, &str)] = &[
     ("conforms", "every recorded step was what the verified machine does"),
     ("VIOLATES", "a node did what the verified machine does not do"),
     ("UNKNOWN", "nothing is recorded, or a part of it is missing"),
+    ("5/34 (17%)", "transition kinds seen, of those that the task's ports make possible"),
     ("steps checked", "recorded steps that the validator has compared"),
     ("seen", "transition kinds that were observed, and how often"),
     ("never", "kinds that the task's ports make possible, and that did not occur"),

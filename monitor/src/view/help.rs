@@ -2,7 +2,7 @@
 //! screen from which it was opened.
 
 use super::canvas::{self, Canvas};
-use super::explained::{BANNER, HEADER, columns};
+use super::explained::{BANNER, HEADER, LISTS, columns};
 use crate::app::{App, COMMANDS, Screen};
 use crate::drawn::Hit;
 use crate::keys::{Action, BINDINGS, Binding};
@@ -15,9 +15,10 @@ pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
     let left_width = if canvas.area.width < 60 { 11 } else { 15 };
     // The scrollbar takes a column.
     let width = canvas.area.width.saturating_sub(left_width + 2);
-    let asked = asked(app).map(|line| wrapped(line, width)).unwrap_or_default();
+    let widths = (left_width - 1, width);
+    let asked = asked(app).map(|line| wrapped(line, widths)).unwrap_or_default();
     let lines: Vec<Line> =
-        asked.iter().cloned().chain(lines(app).into_iter().flat_map(|line| wrapped(line, width))).collect();
+        asked.iter().cloned().chain(lines(app).into_iter().flat_map(|line| wrapped(line, widths))).collect();
     let room = usize::from(canvas.height());
     let opens = lines.iter().map(|(.., hit)| *hit).collect();
     let (window, selected) = canvas.chosen(app.scroll, room, opens);
@@ -50,8 +51,11 @@ fn asked(app: &App) -> Option<Line> {
     Some(((*name).to_owned(), (*text).to_owned(), Ink::Head, Some(Hit::Column(title))))
 }
 
-/// A line, continued where its right text needs more than `width` columns.
-fn wrapped((left, right, ink, hit): Line, width: u16) -> Vec<Line> {
+/// A line, continued where its right text needs more than `width` columns. A left text that is wider than its column
+/// stands above the right text.
+fn wrapped((left, right, ink, hit): Line, (left_width, width): (u16, u16)) -> Vec<Line> {
+    let is_above = !right.is_empty() && canvas::columns(&left) > left_width;
+    let (above, left) = if is_above { (Some(left), String::new()) } else { (None, left) };
     let mut lines = vec![(left, String::new(), ink, hit)];
     for word in right.split(' ') {
         let last = lines.last_mut().expect("a line was begun");
@@ -65,7 +69,8 @@ fn wrapped((left, right, ink, hit): Line, width: u16) -> Vec<Line> {
         }
         last.1.push_str(word);
     }
-    lines
+    let above = above.map(|left| (left, String::new(), ink, hit));
+    above.into_iter().chain(lines).collect()
 }
 
 /// All lines of the help.
@@ -94,9 +99,11 @@ fn lines(app: &App) -> Vec<Line> {
         lines.push(heading(&format!("COLUMNS AND FIGURES: {}", title(screen))));
         lines.extend(columns.iter().map(|(name, told)| text(name, told, Some(Hit::Column(name)))));
     }
+    lines.push(heading("LISTS AND NUMBERS"));
+    lines.extend(LISTS.iter().map(|(name, told)| text(name, told, None)));
     lines.push(heading("THE HEADER"));
     lines.extend(HEADER.iter().map(|(name, told)| text(name, told, None)));
-    lines.push(heading("THE BANNER BELOW THE HEADER, AND THE BOTTOM LINE"));
+    lines.push(heading("THE BANNER, AND THE BOTTOM LINE"));
     lines.extend(BANNER.iter().map(|(name, told)| text(name, told, None)));
     lines.push(heading("KEYS ON OTHER SCREENS"));
     lines.extend(BINDINGS.iter().filter(elsewhere).map(|b| {

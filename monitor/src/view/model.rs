@@ -190,7 +190,10 @@ fn wrapped(
     let room = width.saturating_sub(columns(title));
     for word in words {
         if !text.is_empty() && columns(&text) + columns(&word) + columns(between) > room {
-            lines.push(vec![(std::mem::replace(&mut head, " ".repeat(title.len())), Ink::Dim), (text, ink)]);
+            lines.push(vec![
+                (std::mem::replace(&mut head, " ".repeat(columns(title).into())), Ink::Dim),
+                (text, ink),
+            ]);
             text = String::new();
         }
         if !text.is_empty() {
@@ -220,5 +223,16 @@ mod tests {
             ["\u{5de6}\u{8155} \u{5de6}\u{8155}", "ab"]
         );
         assert_eq!(wrap(&["abcd", "efghij"]), ["abcd", "efghij"]);
+        // The lines below are as far from the edge as the first one, whose title is wide.
+        let mut lines = Vec::new();
+        wrapped(
+            "\u{5de6}: ",
+            ["abcd", "efgh"].map(str::to_owned).into_iter(),
+            " ",
+            Ink::Plain,
+            10,
+            &mut lines,
+        );
+        assert_eq!(lines[1][0].0, "    ");
     }
 }

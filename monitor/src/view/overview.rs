@@ -2,7 +2,7 @@
 
 use super::accused::{accuse, health};
 use super::canvas::{self, Canvas, Column, bar, first_row};
-use super::columns::{Cells, HEALTH_CELL, columns, sort_of};
+use super::columns::{Cells, HEALTH_CELL, Needs, columns, sort_of};
 use super::lists::Window;
 use super::sums::{Counts, Sum, per_second};
 use super::{Hit, below, nodes};
@@ -42,23 +42,26 @@ pub(super) fn draw(
     let inner = Rect { x: whole.x + indent, width: width - indent, ..list };
     // The cells of visible rows only are computed, so that a cell of ten thousand ports costs no more.
     let shown: Vec<_> = (rows.iter().enumerate().skip(window.first).take(height))
-        .map(|(i, row)| (i, row, row_cells(app, row, (findings, blockers, &healthy), width, now)))
+        .map(|(i, row)| (i, row, row_cells(app, row, (findings, blockers, &healthy), (whole.width, now))))
         .collect();
-    let longest =
-        |cell: usize| shown.iter().map(|(.., cells)| canvas::columns(&cells[cell].0)).max().unwrap_or(0);
-    let (columns, of) = columns(width, (longest(0), longest(2)), &app.columns);
+    let needs = needs(app, &shown);
+    let (columns, of) = columns((whole.width, inner.width), needs, &app.columns);
     let widths = canvas.part(inner).widths(&columns);
     titles(app, (&columns, &widths), &window.position(selected), &mut canvas.part(inner));
-    for (y, (i, row, cells)) in (1..).zip(&shown) {
-        let texts: Vec<_> = of.iter().map(|&c| (cells[c].0.as_str(), cells[c].1)).collect();
+    for (y, shown) in (1..).zip(&shown) {
+        let (i, row, (cells, _)) = shown;
+        let state = of.iter().position(|cell| *cell == 1).map(|at| (at, widths[at]));
+        let state_text = state.map_or("", |(_, width)| that_fits(app, shown, width));
+        let text = |cell: usize| if cell == 1 { state_text } else { &cells[cell].0 };
+        let texts: Vec<_> = of.iter().map(|&c| (text(c), cells[c].1)).collect();
         let mut inner = canvas.part(inner);
         inner.row(y, &columns, &widths, &texts);
         if row.depth == 0
-            && let Some(at) = of.iter().position(|cell| *cell == 1)
+            && let Some((at, width)) = state
         {
             let x = widths[..at].iter().map(|width| width + 1).sum::<u16>();
-            let taken = canvas::columns(&cells[1].0).min(widths[at]);
-            nodes::sparklines(app, row, (x + taken, x + widths[at]), y, &mut inner);
+            let taken = canvas::columns(state_text).min(width);
+            nodes::sparklines(app, row, (x + taken, x + width), y, &mut inner);
         }
         let mut line = canvas.part(Rect { width, ..whole });
         if *i == selected {
@@ -66,6 +69,44 @@ pub(super) fn draw(
         }
         line.target(0, y, width, Hit::Row(row.place));
     }
+}
+
+/// A row that is shown: its index, and its cells with the shorter texts of its state.
+type Shown<'a> = (usize, &'a Row, (Cells, Vec<String>));
+
+/// How many columns the cells on the screen need.
+fn needs(app: &App, shown: &[Shown<'_>]) -> Needs {
+    let mut needs = Needs::default();
+    for (_, row, (cells, shorter)) in shown {
+        let [name, state, queue] = [0, 1, 2].map(|cell: usize| canvas::columns(&cells[cell].0));
+        needs.name = needs.name.max(name);
+        needs.queue = needs.queue.max(queue);
+        needs.health = needs.health.max(canvas::columns(&cells[HEALTH_CELL].0));
+        // The names of the healthy nodes are a list that may be cut.
+        if row.place == Place::HEALTHY {
+            continue;
+        }
+        needs.state = needs.state.max(state);
+        if row.depth == 0 {
+            let shortest = shorter.last().map_or(state, |text| canvas::columns(text));
+            needs.shortest_state = needs.shortest_state.max(shortest);
+            if nodes::has_sparklines(app, row) {
+                let (whole, least) = needs.sparks;
+                needs.sparks = (whole.max(nodes::beside(state)), least.max(nodes::beside(shortest)));
+            }
+        }
+    }
+    needs
+}
+
+/// The longest text of a row's state that fits into `width` columns, if possible with sparklines beside it; the shortest
+/// one if none fits.
+fn that_fits<'a>(app: &App, (_, row, (cells, shorter)): &'a Shown<'_>, width: u16) -> &'a str {
+    let mut texts = std::iter::once(&cells[1].0).chain(shorter);
+    let has_sparklines = row.depth == 0 && nodes::has_sparklines(app, row);
+    let beside = texts.clone().find(|text| has_sparklines && nodes::beside(canvas::columns(text)) <= width);
+    let fits = beside.or_else(|| texts.clone().find(|text| canvas::columns(text) <= width));
+    fits.or_else(|| texts.next_back()).map_or("", String::as_str)
 }
 
 /// Draws the titles of the columns, each a target of clicks, and behind them the sort order and the position.
@@ -112,20 +153,20 @@ fn titles(
 /// The findings, the blocks of the cell, and the healthy nodes that have no rows of their own.
 type Known<'a> = (&'a [Finding], &'a [Blocker], &'a [IncarnationId]);
 
+/// The cells of a row, and the shorter texts of its state.
 fn row_cells(
     app: &App,
     row: &Row,
     (findings, blockers, healthy): Known<'_>,
-    width: u16,
-    now: Moment,
-) -> Cells {
-    let mut cells = cells(app, row, findings, width, now);
+    (screen, now): (u16, Moment),
+) -> (Cells, Vec<String>) {
+    let (mut cells, shorter) = cells(app, row, findings, (screen, now));
     if row.place == Place::HEALTHY {
         nodes::healthy(app, healthy, row, now, &mut cells);
-        return cells;
+    } else {
+        accuse(app, row, findings, blockers, screen, &mut cells);
     }
-    accuse(app, row, findings, blockers, width, &mut cells);
-    cells
+    (cells, shorter)
 }
 
 /// The name of a place: `node.task.port`, or a beginning of this.
@@ -149,9 +190,10 @@ pub(crate) fn label(app: &App, place: Place) -> String {
     text
 }
 
-fn cells(app: &App, row: &Row, findings: &[Finding], width: u16, now: Moment) -> Cells {
-    let (health, ink) = health(row, findings, width);
+fn cells(app: &App, row: &Row, findings: &[Finding], (screen, now): (u16, Moment)) -> (Cells, Vec<String>) {
+    let (health, ink) = health(row, findings, screen);
     let mut cells: Cells = std::array::from_fn(|_| (String::new(), Ink::Plain));
+    let mut shorter = Vec::new();
     match row.place.node {
         Err(_) if row.place == Place::HEALTHY => {}
         Err(id) => {
@@ -165,14 +207,14 @@ fn cells(app: &App, row: &Row, findings: &[Finding], width: u16, now: Moment) ->
             cells[1] = (if killed { "DEAD" } else { "not seen here" }.to_owned(), Ink::Dim);
         }
         Ok(id) => {
-            let Some(incarnation) = app.store().incarnation(id) else { return cells };
+            let Some(incarnation) = app.store().incarnation(id) else { return (cells, shorter) };
             let gone = incarnation.presence(now).is_gone();
             match (row.place.task.and_then(|t| incarnation.task(t)), row.place.port) {
-                (None, _) => nodes::node(app, incarnation, row, now, &mut cells),
+                (None, _) => shorter = nodes::node(app, incarnation, row, (screen, now), &mut cells),
                 (Some(task), None) => self::task(app, incarnation, task, row, now, &mut cells),
                 (Some(task), Some(port)) => {
                     if let Some(view) = task.view.ports.iter().find(|p| p.port == port) {
-                        self::port(app, incarnation, task, view, width, now, &mut cells);
+                        self::port(app, incarnation, task, view, screen, now, &mut cells);
                     }
                 }
             }
@@ -190,7 +232,7 @@ fn cells(app: &App, row: &Row, findings: &[Finding], width: u16, now: Moment) ->
         earlier || row.depth > 0 && is_gone(app, id, now)
     });
     cells[HEALTH_CELL] = if ended && ink == Ink::Good { ("-".to_owned(), Ink::Dim) } else { (health, ink) };
-    cells
+    (cells, shorter)
 }
 
 fn is_gone(app: &App, id: IncarnationId, now: Moment) -> bool {
@@ -237,7 +279,7 @@ fn port(
     incarnation: &NodeIncarnation,
     task: &TaskSnapshot,
     view: &PortView,
-    width: u16,
+    screen: u16,
     now: Moment,
     cells: &mut Cells,
 ) {
@@ -254,7 +296,7 @@ fn port(
         cells[3] = (left.map_or_else(|| "-".to_owned(), |l| l.to_string()), Ink::Plain);
     } else if view.capacity > 0 {
         let fill = bar(&app.theme, 5, view.len.into(), view.capacity.into());
-        let fill = if width < 116 { String::new() } else { format!(" {fill}") };
+        let fill = if screen < 116 { String::new() } else { format!(" {fill}") };
         cells[2] = (format!("{}/{}{fill}", view.len, view.capacity), Ink::Plain);
         let left = view.min_slack.map(|s| incarnation.left(s, task.age_us, now));
         cells[3] = (left.map_or_else(|| "-".to_owned(), |l| l.to_string()), Ink::Plain);

@@ -81,7 +81,8 @@ fn shares(incarnation: &NodeIncarnation, served: Option<&Service>, canvas: &mut 
     canvas.facts(2, &pieces);
 }
 
-/// Draws, for a watched port that competes with other ports, how often it was bypassed, and the limit of that (D58).
+/// Draws, for a watched port that competes with other ports, how often it was bypassed, and the limit of that (D58). This
+/// is a state of now, as the rest of the first row.
 fn bypassed(
     incarnation: &NodeIncarnation,
     task: TaskId,
@@ -96,17 +97,18 @@ fn bypassed(
     if canvas.area.width >= 100 {
         let near = queue.bypassed.saturating_mul(2) > queue.bypass_limit;
         let text = (text, Some(Hit::Column("bypassed")));
-        canvas.corner(1, &[vec![text]], if near { Ink::Warn } else { Ink::Dim });
+        canvas.corner(0, &[vec![text]], if near { Ink::Warn } else { Ink::Dim });
     }
 }
 
 /// Draws how many messages were queued over time, and the slack of the most urgent of them.
 fn fill(view: &PortView, served: Option<&Service>, canvas: &mut Canvas<'_>) {
     let Some(served) = served else { return };
-    let room = usize::from(canvas.area.width.saturating_sub(40)).max(10);
+    let label = format!(" last {} samples: ", served.fill.len());
+    let room = usize::from(canvas.area.width.saturating_sub(56)).max(10);
     let values: Vec<_> = served.fill.iter().map(|len| Some(u64::from(*len))).collect();
     let width = u16::try_from(values.len().min(room)).unwrap_or(u16::MAX);
-    let x = canvas.facts(3, &[(" fill: ", Ink::Dim, None)]);
+    let x = canvas.facts(3, &[(&label, Ink::Dim, Some(Hit::Column("fill"))), ("fill ", Ink::Dim, None)]);
     canvas.sparkline((x, 3), width, &values, Some(view.capacity.max(1).into()), Ink::Bar);
     canvas.target(x, 3, width, Hit::Column("fill"));
     let time = |us: Option<u64>| us.map_or_else(|| "-".to_owned(), |us| Span::micros(us).to_string());

@@ -2,7 +2,7 @@
 //! between the lanes show messages.
 
 use super::Hit;
-use super::canvas::{Canvas, columns, cut};
+use super::canvas::{Canvas, columns, cut, fit};
 use super::lists::Window;
 use super::words::{ink, short};
 use crate::app::App;
@@ -72,8 +72,7 @@ fn lanes(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
                 canvas.line(y, &[(&text, Ink::Warn), (&"=".repeat(200), Ink::Warn)]);
             }
             Slice::Quiet(time) => {
-                let text = format!("  {}", Span(*time));
-                let quiet = format!("{text:AXIS$} nothing", AXIS = usize::from(AXIS));
+                let quiet = fit(&format!("  {}", Span(*time)), AXIS) + " nothing";
                 canvas.line(y, &[(&quiet, Ink::Dim)]);
             }
             Slice::Marks(places) | Slice::Elsewhere(places) => {
