@@ -327,7 +327,7 @@ fn figures_of_the_port_say_since_when_they_count() {
             row.unwrap_or_else(|| panic!("{part} at {width}: {shown}")).to_owned()
         };
         let fill = row("slack p5");
-        assert!(fill.starts_with(" last ") && fill.contains(" samples: fill "), "{fill}");
+        assert!(fill.starts_with(" fill last ") && fill.contains(" samples: "), "{fill}");
         if width >= 120 {
             let now = row("bypassed 3/9");
             assert!(now.contains("buffer 3/8") && !now.contains("since"), "{now}");

@@ -104,11 +104,11 @@ fn bypassed(
 /// Draws how many messages were queued over time, and the slack of the most urgent of them.
 fn fill(view: &PortView, served: Option<&Service>, canvas: &mut Canvas<'_>) {
     let Some(served) = served else { return };
-    let label = format!(" last {} samples: ", served.fill.len());
+    let label = format!("last {} samples: ", served.fill.len());
     let room = usize::from(canvas.area.width.saturating_sub(56)).max(10);
     let values: Vec<_> = served.fill.iter().map(|len| Some(u64::from(*len))).collect();
     let width = u16::try_from(values.len().min(room)).unwrap_or(u16::MAX);
-    let x = canvas.facts(3, &[(&label, Ink::Dim, Some(Hit::Column("fill"))), ("fill ", Ink::Dim, None)]);
+    let x = canvas.facts(3, &[(" fill ", Ink::Dim, None), (&label, Ink::Dim, None)]);
     canvas.sparkline((x, 3), width, &values, Some(view.capacity.max(1).into()), Ink::Bar);
     canvas.target(x, 3, width, Hit::Column("fill"));
     let time = |us: Option<u64>| us.map_or_else(|| "-".to_owned(), |us| Span::micros(us).to_string());
