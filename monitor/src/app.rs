@@ -304,10 +304,8 @@ impl App {
     /// The store that is shown: that of the running nodes, the one at the pause, or that of a position in a recording.
     #[must_use]
     pub fn store(&self) -> &Store {
-        if let Some(player) = self.replay.as_deref().or(self.back.player()) {
-            return player.store();
-        }
-        self.frozen.as_ref().map_or(&self.live, |(store, _)| store)
+        let present = || self.frozen.as_ref().map_or(&self.live, |(store, _)| store);
+        self.replay.as_deref().or(self.back.player()).map_or_else(present, Player::store)
     }
 
     /// The store of the running nodes, also while paused.
@@ -319,10 +317,8 @@ impl App {
     /// The moment that the screen shows.
     #[must_use]
     pub fn moment(&self, now: Moment) -> Moment {
-        if let Some(player) = self.replay.as_deref().or(self.back.player()) {
-            return player.moment();
-        }
-        self.frozen.as_ref().map_or(now, |(_, at)| *at)
+        let present = || self.paused().unwrap_or(now);
+        self.replay.as_deref().or(self.back.player()).map_or_else(present, Player::moment)
     }
 
     /// The moment of the pause, if the screen is paused.
