@@ -39,7 +39,7 @@ pub struct RunArgs {
     pub launch: LaunchArgs,
 }
 
-/// The options of a run, of a cell file or of a demo.
+/// The options that `imrs run` and `imrs demo` share.
 #[derive(Args, Clone, Debug)]
 pub struct LaunchArgs {
     /// Run all nodes in this process, connected without sockets.

@@ -52,21 +52,21 @@ pub trait HostOutbox: NodeOutbox {
     fn cut_short(&mut self, task: TaskId, level: u8);
     /// Chooses a number below `alternatives` at once, or returns `None` to give it later with [`HostInput::Chosen`].
     fn choose(&mut self, task: TaskId, alternatives: u16) -> Option<u16>;
-    /// Reports that a script has ended.
+    /// Tells the driver that a script has ended.
     fn ended(&mut self, task: TaskId, end: End);
-    /// Reports a request of a script to its communication task.
+    /// Tells the driver that a script makes this request of its communication task.
     fn asked(&mut self, task: TaskId, request: &Request) {
         let _ = (task, request);
     }
-    /// Reports the communication task's answer to a script.
+    /// Tells the driver that a communication task gives this answer to the script of its task.
     fn answered(&mut self, task: TaskId, signal: &Signal) {
         let _ = (task, signal);
     }
-    /// Reports that a statement of a script begins.
+    /// Tells the driver that a statement of a script begins.
     fn statement(&mut self, task: TaskId, at: Address) {
         let _ = (task, at);
     }
-    /// Reports that a script drops a class-2 message that it never answered.
+    /// Tells the driver that a script drops a class-2 message that it never answered.
     fn unanswered(&mut self, task: TaskId, message: ReplyTo) {
         let _ = (task, message);
     }

@@ -1,5 +1,5 @@
-//! Measures messaging systems over a network that people would use instead. libzmq and nng are C libraries, built from
-//! source.
+//! Measures messaging systems that send over a network, and that people might use in place of imrs: libzmq, nng and zenoh.
+//! libzmq and nng are C libraries, built from source.
 
 use crate::cores::{self, Core};
 use crate::sample::{Sample, nanos_of};

@@ -1,4 +1,4 @@
-//! Libraries that people would use instead, added to the suites in which they are compared.
+//! Libraries that people might use in place of imrs, added to the suites in which they are compared.
 
 #[cfg(feature = "peers")]
 mod actors;

@@ -91,7 +91,7 @@ fn no_false_release() -> Vec<Claim> {
             eager,
         ),
         simple(
-            (name, "no-round", "without rounds a loop is wrong even on a perfect network (D3)"),
+            (name, "no-round", "without round numbers a repeated waitfor fails even without losses (D3)"),
             Outcome::Fails,
             true,
             Meeting { rules: unnumbered, ..endless },

@@ -172,8 +172,9 @@ impl Dbm {
         values
     }
 
-    /// Whether the set has the point `point`, or a point that differs only in variables `over`: these may be less than
-    /// zero.
+    /// Whether the set has a point with the values of `point`, except that each variable in `over` may also be less than
+    /// its value there. A variable in `over` stands for an instant that has passed: `point` has zero for it, however
+    /// long ago that instant was.
     pub fn reaches(&self, point: &[i64], over: &[usize]) -> bool {
         let mut left = self.clone();
         point.len() == self.len

@@ -84,7 +84,7 @@ impl Script {
             held,
             variables,
             locals,
-            // The program determines these two fields.
+            // The program determines `width` and `acting`, so neither is packed.
             width,
             acting: _,
             atomic,

@@ -31,7 +31,7 @@ pub struct World {
     incarnations: Vec<u8>,
     /// For each task, the latest start of each of its delays and timers.
     pub turns: Vec<Vec<(TimeId, u8)>>,
-    /// By how much the ids of this world differ from those of the plain world.
+    /// By how much the ids of this world differ from those of a world without a shift.
     pub shift: Shift,
     /// Whether nodes restart and packets of other incarnations appear.
     pub restarts: bool,
@@ -320,8 +320,8 @@ impl World {
         Effects::default()
     }
 
-    /// The numbers to which packed ids are relative: the next sequence number of every source, and rounds from the plain
-    /// world's zero.
+    /// The numbers from which packed ids are counted: for each port the shift of its rounds (zero in a world without a
+    /// shift), and for each source its next sequence number.
     pub fn frame(&self) -> (Vec<Round>, Vec<Seq24>) {
         let next = self.tasks.iter().map(CommTask::next_sequence);
         (self.shift.rounds.iter().map(|&r| Round(r)).collect(), next.collect())

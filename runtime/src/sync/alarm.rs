@@ -18,7 +18,7 @@ pub(crate) struct Alarm<P = Sound> {
     plant: P,
 }
 
-/// The bugs that the explorers must find.
+/// The bugs that the explorers of schedules (loom and shuttle) must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
     /// While the Timer thread reads the slots, the old target stays in force, so that a new expiry does not wake the

@@ -10,7 +10,7 @@ pub(crate) struct CombiningLock<T, P = Sound> {
     plant: P,
 }
 
-/// The bugs that the explorers must find.
+/// The bugs that the explorers of schedules (loom and shuttle) must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
     /// The holder does not recheck `wanted` after unlocking.

@@ -52,7 +52,7 @@ struct Leaving {
     taken: u64,
 }
 
-/// The bugs that the explorers must find.
+/// The bugs that the explorers of schedules (loom and shuttle) must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
     /// The number of an input is written to the slot before its words.

@@ -22,7 +22,7 @@ struct Lane<const WORDS: usize, P> {
     plant: P,
 }
 
-/// The bugs that the explorers must find.
+/// The bugs that the explorers of schedules (loom and shuttle) must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
     /// The producer publishes slots before it fills them.

@@ -47,7 +47,7 @@ pub(crate) struct Lead<P = Sound> {
     plant: P,
 }
 
-/// The bug that the explorers must find.
+/// The bug that the explorers of schedules (loom and shuttle) must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
     /// A leader whose own wait is over leaves the datagram that the kernel reported to it in the socket.

@@ -22,7 +22,7 @@ pub(crate) struct Park<P = Sound> {
     plant: P,
 }
 
-/// The bugs that the explorers must find.
+/// The bugs that the explorers of schedules (loom and shuttle) must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
     /// The thread waits although it was called after its last poll.

@@ -22,7 +22,7 @@ struct Marks {
     own: AtomicU64,
 }
 
-/// The bugs that the explorers must find.
+/// The bugs that the explorers of schedules (loom and shuttle) must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
     /// A waker calls the thread before it marks the future.

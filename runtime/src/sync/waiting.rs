@@ -9,8 +9,9 @@
 //!      \--------------------------------------- enters ----------------------------- READY
 //! ```
 //!
-//! While the thread spins, others leave all input in the inbox for it. While it runs, they leave only input that may wait. So the
-//! thread checks the inbox after it has changed the word. Others check the word after they have left input.
+//! The *inbox* is a ring of slots for input that other threads leave. While the thread spins, others leave all input there.
+//! While the thread runs, they leave only input that may wait. So the thread checks the inbox after it has changed the
+//! word. Others check the word after they have left input.
 
 use crate::sync::awake::ThreadState;
 use crate::sync::plant::{Plants, Sound};
@@ -29,7 +30,7 @@ pub(super) const AWAY: u32 = 3;
 /// The task's thread spins on its word and on the inbox.
 const LOOKING: u32 = 4;
 
-/// The bugs that the explorers must find.
+/// The bugs that the explorers of schedules (loom and shuttle) must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
     /// The lock's holder does not recheck the inbox after unlocking.

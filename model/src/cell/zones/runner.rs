@@ -89,7 +89,7 @@ pub(super) struct LeftOut {
 /// Runs a cell.
 pub struct Runner {
     phase: Phase,
-    /// The cell at its start, without symbols.
+    /// The cell at its start, where no time is symbolic yet.
     pub(super) start: RunState,
     pub(super) run_state: RunState,
     /// A second state, into which the reductions load states that the run itself does not reach.
@@ -107,8 +107,9 @@ pub struct Runner {
 
 impl Runner {
     pub fn new(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Self {
-        // Queues sort symbols in another way than numbers. So the queues of the cell at its start are also built under
-        // a zone, as symbols.
+        // Numbers can be packed into the key by which a queue sorts. Symbolic times (differences of variables) cannot, so
+        // a queue within a zone (a set of bounds on these variables) compares its entries one by one. The start is built
+        // within a zone, because all queues of a run must sort in one way.
         let (mut start, _) = again(&Dbm::zero(), &[], |_| RunState::new(plan, faults));
         start.cell.is_symbolic = true;
         let reached = nothing_reached(&start);

@@ -13,8 +13,8 @@ use imrs_wire::obs::TaskSnapshot;
 
 /// A message that was rejected this often is about to starve (R16, D58).
 const REJECTIONS: u32 = 3;
-/// If at least this many class-1 messages were dropped for lack of room since the base sample, and they are a quarter
-/// of the arrivals, they are a flood.
+/// A port has a flood if, in the last few seconds, at least this many of its class-1 messages were dropped for lack of
+/// room, and these are at least a quarter of the messages that arrived.
 const FLOOD: u64 = 10;
 
 pub(super) fn look(

@@ -189,7 +189,7 @@ impl Pending {
                 w.instant(deadline);
             }
             Self::Delay(id, _) => w.byte(&mut id.0),
-            // The code alone determines these waits.
+            // The number `code` alone determines these waits.
             Self::Nothing | Self::Work | Self::Boundary | Self::Lease | Self::Reply(_) | Self::Meeting(_) => {
             }
         }

@@ -150,7 +150,8 @@ impl Server {
 }
 
 impl Inbox {
-    /// Visits an inbox. `waiting` holds the inbox's messages, unless the pass decodes or changes them.
+    /// Visits an inbox: the receiver's state of one port. For a walk that encodes or looks, `waiting` holds the messages
+    /// that wait at the port. For a walk that decodes or changes, `waiting` is empty.
     fn walk<W: Walk>(
         &mut self,
         form: Form,

@@ -65,11 +65,11 @@ pub struct Delta {
 /// The fields of a snapshot that belong to the node itself, not to one of its tasks, buffers or links.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NodeFacts {
-    /// [`Snapshot::uptime_us`](super::Snapshot::uptime_us).
+    /// How long the node has run, in microseconds.
     pub uptime_us: u64,
-    /// [`Snapshot::insecure`](super::Snapshot::insecure).
+    /// Whether packets travel without authentication.
     pub insecure: bool,
-    /// [`Snapshot::real_time`](super::Snapshot::real_time).
+    /// Whether the node runs in real time.
     pub real_time: RealTime,
 }
 
@@ -111,17 +111,18 @@ pub struct PortChange {
 /// The whole state of a task, independent of the previous snapshot.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TaskAnew {
-    /// [`TaskView::task`](imrs_protocol::TaskView::task).
+    /// The task that changed.
     pub task: TaskId,
-    /// [`TaskSnapshot::liveness`](super::TaskSnapshot::liveness).
+    /// Whether the task still runs.
     pub liveness: Liveness,
+    /// How long before the sample the communication task last advanced, in microseconds; see
     /// [`TaskSnapshot::age_us`](super::TaskSnapshot::age_us).
     pub age_us: u64,
-    /// [`TaskView::state`](imrs_protocol::TaskView::state).
+    /// What the task is doing.
     pub state: TaskState,
-    /// [`TaskView::ports`](imrs_protocol::TaskView::ports).
+    /// The task's ports, ascending.
     pub ports: Vec<PortAnew>,
-    /// [`TaskView::meetings`](imrs_protocol::TaskView::meetings).
+    /// The task's waitfors, ascending by port.
     pub meetings: Vec<MeetingView>,
 }
 
@@ -130,11 +131,11 @@ pub struct TaskAnew {
 pub struct PortAnew {
     /// The port's number minus that of the previous port (0 for the first), with wrap-around.
     pub further: u16,
-    /// [`PortView::usage`](imrs_protocol::PortView::usage).
+    /// What the task does with the port.
     pub usage: Usage,
-    /// [`PortView::class`](imrs_protocol::PortView::class).
+    /// The port's class.
     pub class: Class,
-    /// [`PortView::capacity`](imrs_protocol::PortView::capacity).
+    /// How many messages may wait; zero if this end receives nothing.
     pub capacity: u16,
     /// The port's difference from a port that was never used.
     pub change: PortChange,
@@ -143,11 +144,11 @@ pub struct PortAnew {
 /// The queue of a port.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Waiting {
-    /// [`PortView::len`](imrs_protocol::PortView::len).
+    /// How many messages wait on the port.
     pub len: u16,
-    /// [`PortView::min_slack`](imrs_protocol::PortView::min_slack).
+    /// The remaining time of the most urgent waiting message.
     pub min_slack: Option<Ticks>,
-    /// [`PortView::queue`](imrs_protocol::PortView::queue).
+    /// The waiting messages in the order in which they will be served, at most as many as the monitor asked for.
     pub queue: Vec<QueueEntry>,
 }
 
