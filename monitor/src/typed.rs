@@ -17,9 +17,9 @@ const MOST: u64 = 1 << 16;
 /// What a line is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Rows are shown only if they match it.
+    /// A filter: only rows that match the line are shown.
     Filter,
-    /// It is carried out when it is complete.
+    /// A command, which the monitor carries out when the user completes the line.
     Command,
 }
 
@@ -33,10 +33,10 @@ pub struct Typed {
 /// Why the file of the lines cannot be used.
 #[derive(Debug, Error)]
 pub enum TypedError {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error(transparent)]
     File(#[from] FileError),
-    /// This line of it is none that the monitor writes.
+    /// The monitor never writes a line such as the one with this number.
     #[error("line {0} is neither a filter nor a command")]
     Line(usize),
 }
@@ -111,7 +111,7 @@ pub fn load(path: &Path) -> Result<Typed, TypedError> {
 /// The file is replaced as a whole, so that no reader sees a part of it.
 ///
 /// # Errors
-/// That of the file or its folder.
+/// An error of the file system, for the file or its folder.
 pub fn save(path: &Path, typed: &Typed) -> io::Result<()> {
     let folder = files::folder_of(path);
     std::fs::create_dir_all(folder)?;

@@ -117,7 +117,7 @@ pub(crate) struct CellState {
     /// Whether each step checks the invariants of the state machines, and compares what the search leaves out. Only the
     /// search of a cell turns this off, for states that are not in its sample.
     pub is_sampled: bool,
-    /// Whether times are symbols: then fused steps are not compared, because a zone packs one state at a time.
+    /// Whether times are symbolic (without a value): then fused steps are not compared, because a zone packs one state at a time.
     pub is_symbolic: bool,
 }
 

@@ -86,7 +86,7 @@ impl Forks {
         symbolic::within(Rc::<RefCell<Cut>>::clone(&self.0), run)
     }
 
-    /// The zone as it is now. While it is borrowed, no symbols may be compared.
+    /// The zone of the run, restricted by the answers so far. While it is borrowed, no symbolic times may be compared.
     pub fn cut(&self) -> RefMut<'_, Cut> {
         self.0.borrow_mut()
     }
@@ -124,7 +124,7 @@ impl Cut {
         }
     }
 
-    /// The two variables and the offset that make the difference of two symbols; `None` if more variables are needed.
+    /// The two variables and the offset that make the difference of two symbolic times; `None` if more variables are needed.
     const fn between(one: Symbol, other: Symbol) -> Option<(u8, u8, i64)> {
         let offset = one.offset - other.offset;
         match (one, other) {
@@ -162,12 +162,12 @@ impl Cut {
     /// A new variable, without bounds.
     ///
     /// # Panics
-    /// If there are more variables than symbols can name.
+    /// If there are more variables than a symbolic time can name (255).
     pub fn add(&mut self) -> u8 {
         u8::try_from(self.zone.add()).expect("at most 255 variables")
     }
 
-    /// Keeps the points at which the symbol is not negative.
+    /// Keeps the points at which this symbolic time is not negative.
     pub fn keep(&mut self, symbol: Symbol) -> Result<(), Empty> {
         [symbol.first, symbol.second].into_iter().for_each(|variable| self.decides(variable));
         self.zone.constrain(usize::from(symbol.second), usize::from(symbol.first), symbol.offset)
@@ -228,7 +228,7 @@ impl Cut {
 }
 
 impl Cut {
-    /// Whether a symbol is negative. If the zone allows both, the answer becomes one more answer of the run.
+    /// Whether a symbolic time is negative. If the zone allows both, the answer becomes one more answer of the run.
     pub(super) fn asks_negative(&mut self, symbol: Symbol) -> bool {
         let Symbol { first, second, offset } = symbol;
         let (i, j) = (usize::from(first), usize::from(second));

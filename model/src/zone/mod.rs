@@ -6,8 +6,8 @@
 //!   times   the times of a packed state: its bytes say where there are times, its zone which ones
 //! ```
 //!
-//! The code that runs is the state machine itself. Its times are symbols (`imrs_protocol::symbolic`). If a comparison has
-//! different answers within the zone, the run forks.
+//! The code that runs is the state machine itself. Its times are symbols: differences of variables
+//! (`imrs_protocol::symbolic`). If a comparison has different answers within the zone, the run forks.
 
 pub(crate) mod dbm;
 pub(crate) mod forks;

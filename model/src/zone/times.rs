@@ -43,7 +43,7 @@ impl Times {
     }
 }
 
-/// A time as a symbol; `None`: never.
+/// A time as a symbol (a difference of two variables plus a number); `None` if the time never comes.
 pub(crate) fn symbol_of(time: Ticks) -> Option<Symbol> {
     let plain = || Symbol { first: START, second: START, offset: time.0.cast_signed() };
     (time != Ticks::FAR).then(|| symbolic::symbol(time.0).unwrap_or_else(plain))

@@ -29,7 +29,7 @@ pub enum Scope {
     Rows,
     /// The events.
     Events,
-    /// Both.
+    /// The rows of the overview and the events.
     Both,
 }
 

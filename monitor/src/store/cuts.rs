@@ -25,11 +25,11 @@ pub(super) const ORDINARY: &[&str] = &["stale_incarnation", "unproven_session", 
 struct Silence {
     /// The last arrival, on the clock of the node that receives, in microseconds.
     heard_us: u64,
-    /// The same on the monitor's clock.
+    /// The last arrival, on the monitor's clock.
     heard: Moment,
-    /// How many packets the other node had sent soon after that.
+    /// How many packets the other node had sent soon after the last arrival.
     before: u64,
-    /// When enough packets had been sent since.
+    /// When the other node had sent enough packets since then to call the link cut.
     enough: Option<Moment>,
 }
 

@@ -274,7 +274,7 @@ fn ordered(marks: Vec<Mark>) -> Vec<Mark> {
     if marks.iter().enumerate().any(is_later) { reordered(marks) } else { marks }
 }
 
-/// The same for any marks.
+/// Sorts marks topologically, whatever their causes are.
 fn reordered(mut marks: Vec<Mark>) -> Vec<Mark> {
     // For each mark: the next one of its task, its latest effect, and the previous effect of the same cause.
     let mut next_own = vec![None; marks.len()];

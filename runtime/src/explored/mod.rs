@@ -1,6 +1,6 @@
-//! Explores the concurrent parts of the runtime, each in small scenes of two or three threads. An explorer runs a scene
-//! under many schedules. In the unit tests, loom takes all schedules with a bounded number of preemptions, stale values of
-//! atomics included. In `tests/schedules`, shuttle draws many more schedules. Both compile these same files;
+//! Explores the concurrent parts of the runtime, each in small scenes of two or three threads. An explorer (loom or
+//! shuttle) runs a scene under many schedules (orders of the threads' steps). In the unit tests, loom takes all schedules
+//! with a bounded number of preemptions, stale values of atomics included. In `tests/schedules`, shuttle draws many more schedules. Both compile these same files;
 //! `crate::explorer` is the explorer in use. A large scene has a smaller bound by default, which shows the same outcomes and
 //! finds the same bugs (`explore_large`).
 //!

@@ -1,5 +1,5 @@
-//! Planted bugs that the explorers must find: a data structure asks, at each place where it could be wrong, whether a
-//! bug is planted there.
+//! Bugs that are planted on purpose, and that the explorers of schedules (loom and shuttle) must find. At each place where a
+//! data structure could be wrong, it asks whether a bug is planted there.
 
 /// The bugs that are planted in a data structure.
 pub(crate) trait Plants<Bug> {
@@ -17,7 +17,7 @@ impl<Bug> Plants<Bug> for Sound {
     }
 }
 
-/// Plants at most one bug: explorers use this.
+/// Plants at most one bug: loom and shuttle use this.
 #[cfg(test)]
 impl<Bug: PartialEq> Plants<Bug> for Option<Bug> {
     fn has(&self, bug: Bug) -> bool {
