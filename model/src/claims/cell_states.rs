@@ -113,7 +113,7 @@ fn eviction() -> Vec<Claim> {
         claim((name, "default", about), Outcome::Holds, true, vec![relay(small)]),
         claim((name, "default", about), Outcome::Holds, false, vec![relay(large)]),
         claim(
-            (name, "by-time-only", "the least urgent packet goes, whatever its class (§III)"),
+            (name, "by-time-only", "the packet with most time left is dropped, whatever its class (§III)"),
             Outcome::Fails,
             true,
             vec![relay(by_time)],

@@ -118,7 +118,7 @@ fn pairing() -> Vec<Claim> {
     let worst = Meeting { budget: Budget { loss: 3, dup: 2, crash: 0 }, resend: Some(RESEND), ..endless(2) };
     let silent = Rules { last_released: false, ..Rules::DEFAULT };
     let lossless = |members| Meeting { budget: Budget::default(), rules: silent, ..endless(members) };
-    let variant = "an ARRIVE that does not say what its sender released unpairs even with no loss (D54)";
+    let variant = "without the round that its sender released last, an ARRIVE pairs different meetings (D54)";
     vec![
         simple((name, "default", about), Outcome::Holds, true, endless(2)),
         simple((name, "default", about), Outcome::Holds, true, endless(3)),

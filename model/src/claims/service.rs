@@ -145,7 +145,7 @@ fn penalty_is_fair() -> Vec<Claim> {
             vec![flood(Flood { room: 3, buffer: 3, ..FLOOD }), workshop(Workshop { buffer: 2, ..WORKSHOP })],
         ),
         claim(
-            (name, "no-penalty", "without aging a patient message starves behind urgent ones (R61)"),
+            (name, "no-penalty", "without aging a message with much time left starves (R61)"),
             Outcome::Fails,
             true,
             vec![flood(Flood { flooded: 2, rules: rules(Aging::Off), ..FLOOD })],
