@@ -4,8 +4,8 @@
 //! `crate::explorer` is the explorer in use. A large scene has a smaller bound by default, which shows the same outcomes and
 //! finds the same bugs (`explore_large`).
 //!
-//! A scene returns its outcome. Each test asserts the whole set of outcomes, and has twin tests in which a planted bug must
-//! be found. An exploration that sees only one outcome, or misses the bug, proves nothing.
+//! A scene returns its outcome. Each test asserts the whole set of outcomes. Beside it stand tests in which a bug is
+//! planted on purpose, and must be found. An exploration that sees only one outcome, or misses the bug, proves nothing.
 
 mod bundles;
 mod combining;
