@@ -117,7 +117,10 @@ fn ratio(row: &Row, subject: &Sample, other: &Sample) -> Option<f64> {
     let value = row.stat.of(subject)?;
     match &row.against {
         Against::Nothing => Some(value),
-        Against::Case(_) => row.goal.ratio(value, row.stat.of(other)?),
+        Against::Case(_) => {
+            let [parts, others] = row.parts.map(f64::from);
+            row.goal.ratio(value / parts, row.stat.of(other)? / others)
+        }
         Against::Itself(stat) => row.goal.ratio(value, stat.of(other)?),
         Against::Above(_, steps) => Some((value - row.stat.of(other)?) / f64::from(*steps)),
     }
@@ -184,6 +187,17 @@ mod tests {
         let (a, b) = (case("a", false, &[(190.0, None, 0.0)]), case("b", false, &[(100.0, None, 0.0)]));
         let found = judge(&row, &[a, b], 0);
         assert_eq!((found.ratio.map(|ratio| ratio.median), found.met(1.0)), (Some(18.0), Some(true)));
+    }
+
+    #[test]
+    fn a_row_for_each_part_divides_each_case_by_its_own_number_of_parts() {
+        let row = |goal| Row::new("G", "a", "b", Stat::P50, goal).for_each("part", [20, 2]);
+        let (a, b) = (case("a", false, &[(60.0, None, 0.0)]), case("b", false, &[(4.0, None, 0.0)]));
+        let measured = [a, b];
+        let found = |goal| judge(&row(goal), &measured, 0).ratio.map(|ratio| ratio.median);
+        assert_eq!(found(Goal::AtMost(1.0)), Some(1.5));
+        assert_eq!(found(Goal::AtLeast(1.0)), Some(2.0 / 3.0));
+        assert_eq!(row(Goal::AtMost(1.0)).what, "a : b, for each part");
     }
 
     #[test]

@@ -175,6 +175,8 @@ pub struct Row {
     pub was: Option<&'static str>,
     /// Whether a round counts only if other programs left the processors alone in it.
     pub quiet: bool,
+    /// Into how many equal parts the subject and the other case are divided before they are compared.
+    pub parts: [u32; 2],
 }
 
 impl Row {
@@ -210,7 +212,7 @@ impl Row {
         stat: Stat,
         goal: Goal,
     ) -> Self {
-        Self { id, what, subject, against, stat, goal, was: None, quiet: false }
+        Self { id, what, subject, against, stat, goal, was: None, quiet: false, parts: [1, 1] }
     }
 
     /// The same row, with the text of the bound that its present bound has replaced.
@@ -224,6 +226,24 @@ impl Row {
     #[must_use]
     pub const fn when_quiet(mut self) -> Self {
         self.quiet = true;
+        self
+    }
+
+    /// The same row, which compares what one of many equal parts takes: the subject has `parts[0]` of them, the other
+    /// case `parts[1]`.
+    #[must_use]
+    pub fn for_each(mut self, part: &str, parts: [u32; 2]) -> Self {
+        self.what += ", for each ";
+        self.what += part;
+        self.parts = parts;
+        self
+    }
+
+    /// The same row, whose text names the circumstances that hold for both cases.
+    #[must_use]
+    pub fn with(mut self, circumstances: &str) -> Self {
+        self.what += ", ";
+        self.what += circumstances;
         self
     }
 

@@ -7,8 +7,8 @@ use crate::sample::{Sample, each};
 use crate::suite::{Effort, Goal, Row, Stat, Suite};
 use crate::{cores, memory};
 use imrs_protocol::{
-    Cell, CellTable, CommTask, Contents, Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Packet,
-    PortDecl, PortId, Request, Signal, Target, TaskId, Ticks, Usage,
+    Cell, CellTable, CommTask, Contents, Event, Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable,
+    Observation, Packet, PortDecl, PortId, Reason, Request, Signal, Target, TaskId, Ticks, Usage,
 };
 use imrs_runtime::Runtime;
 use std::cell::OnceCell;
@@ -70,7 +70,23 @@ pub fn growth() -> Suite {
     }
     let few = "machine/tick over 16 messages";
     suite.row(Row::new("growth", "machine/tick over 10000 messages", few, Stat::P50, Goal::AtMost(1.1)));
+    expiries(&mut suite);
     suite
+}
+
+/// Adds the cases and the row about messages whose time ends.
+fn expiries(suite: &mut Suite) {
+    for waiting in [16, 10_000] {
+        let table = Once::new(move || fan(1, waiting));
+        suite.case(
+            format!("machine/expiry among {waiting} messages"),
+            "the time of one message ends, of so many that wait, and another is sent",
+            move |effort| expiry(effort, table.get(), waiting),
+        );
+    }
+    let few = "machine/expiry among 16 messages";
+    // The same bound as for the queue itself: the logarithm of 10,000 is 3.3 times that of 16.
+    suite.row(Row::new("growth", "machine/expiry among 10000 messages", few, Stat::P50, Goal::AtMost(4.0)));
 }
 
 /// The suite that measures memory, and the wake-ups of an idle node.
@@ -208,6 +224,35 @@ fn get_over_ports(effort: Effort, table: &Arc<CellTable>, ports: usize) -> Sampl
 fn tick(effort: Effort, table: &Arc<CellTable>, waiting: u16) -> Sample {
     let mut node = filled(table, 1, waiting);
     each(effort.of(200_000), GROUP, || node.step(node.now() + Ticks(1), NodeInput::Time, &mut Taken(None)))
+}
+
+/// An outbox that counts the messages whose time ended.
+#[derive(Default)]
+struct Expired(u32);
+
+impl NodeOutbox for Expired {
+    fn link(&mut self, _: NodeId, _: Packet) {}
+    fn signal(&mut self, _: TaskId, _: Signal) {}
+    fn observe(&mut self, _: Option<TaskId>, observation: Observation) {
+        self.0 += u32::from(observation.event == Event::Discarded(Reason::Expired));
+    }
+}
+
+/// Messages wait whose times end one after the other, in an order other than that in which they were sent.
+fn expiry(effort: Effort, table: &Arc<CellTable>, waiting: u16) -> Sample {
+    const STEP: u64 = 1_000;
+    let mut node = Node::new(NodeTable::new(Arc::clone(table), NodeId(0)), Incarnation(0), false, 4);
+    let all = u64::from(waiting);
+    for message in 0..all {
+        // 7,919 has no common divisor with 16 or 10,000, so each of the times is drawn once.
+        send(&mut node, PortId(0), (1 + message * 7_919 % all) * STEP);
+    }
+    each(effort.of(50_000), GROUP, || {
+        let mut expired = Expired::default();
+        node.step(node.now() + Ticks(STEP), NodeInput::Time, &mut expired);
+        assert_eq!(expired.0, 1, "messages whose time ended");
+        send(&mut node, PortId(0), all * STEP);
+    })
 }
 
 fn bytes_of(table: &Arc<CellTable>) -> Option<i64> {

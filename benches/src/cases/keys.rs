@@ -1,8 +1,7 @@
 //! What keys between nodes cost (D191), compared with the same work without keys, and for each datagram that is refused.
 
 use super::cells;
-use super::network::{COALESCED, Closing, ask, one_way, two_links};
-use super::recording::Watched;
+use super::network::{ASLEEP, Asking, COALESCED, Closing, ask, one_way, two_links};
 use super::urgent::WINDOW;
 use crate::cores::{self, Core};
 use crate::sample::Sample;
@@ -46,7 +45,7 @@ pub fn join(mut suite: Suite) -> Suite {
         suite.case(
             name,
             "as runtime/UDP, with keys: each datagram is encrypted, with one tag",
-            move |effort| ask(effort, other, Watched::Not, Duration::ZERO, Closing::Keys),
+            move |effort| ask(effort, other, Asking { closing: Closing::Keys, ..ASLEEP }),
         );
     }
     suite.case("keys/UDP one way", "as runtime/UDP one way, with keys", |effort| {

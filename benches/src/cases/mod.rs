@@ -14,6 +14,7 @@ pub mod recording;
 #[cfg(feature = "screen")]
 pub mod screen;
 pub mod urgent;
+pub mod wire;
 
 use crate::suite::Suite;
 
@@ -31,6 +32,7 @@ pub fn all() -> Vec<Suite> {
         growth::footprint(),
         meet::meetings(),
         network::network(),
+        wire::wire(),
         recording::recording(),
         observe::observe(),
     ];

@@ -10,7 +10,7 @@ use crate::sample::Sample;
 use crate::suite::{Effort, Goal, Row, Stat, Suite};
 use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable, PortDecl, PortId, Usage};
 use imrs_runtime::link::udp::{UdpLink, UdpOptions};
-use imrs_runtime::{Builder, MANY, Runtime, SPIN};
+use imrs_runtime::{Builder, Context, MANY, Runtime, SPIN};
 use nix::sys::socket::{setsockopt, sockopt};
 use std::net::{Ipv4Addr, UdpSocket};
 use std::sync::Arc;
@@ -20,6 +20,9 @@ use std::time::{Duration, Instant};
 
 /// How many packets of 32 bytes the baseline of goal P12 puts into one datagram.
 pub const COALESCED: usize = 43;
+/// How long a message that goes one way may be held back so that others can leave with it: not at all. Messages leave
+/// together only if they were sent in one `together`, or wait anyway.
+pub const HELD_BACK: Duration = Duration::ZERO;
 /// How many datagrams one call sends, if the kernel cuts the call into datagrams.
 const SEGMENTS: usize = 4;
 
@@ -44,12 +47,17 @@ pub fn network() -> Suite {
         suite.case(
             format!("runtime/UDP {name}"),
             "send, receive, reply between Rust tasks of two nodes of one process, each asleep in its socket before every message (spin budget 0), deadline in the packet, checksum mode",
-            move |effort| ask(effort, other, Watched::Not, Duration::ZERO, Closing::Checksum),
+            move |effort| ask(effort, other, ASLEEP),
         );
         suite.case(
             format!("runtime/UDP as they are {name}"),
             "the same in checksum mode, with the spin budget that a node has unless told otherwise",
-            move |effort| ask(effort, other, Watched::Not, SPIN, Closing::Checksum),
+            move |effort| ask(effort, other, Asking { spin: SPIN, ..ASLEEP }),
+        );
+        suite.case(
+            format!("runtime/UDP together {name}"),
+            "as runtime/UDP, and both tasks send everything `together`: each lone message leaves as soon as its task waits",
+            move |effort| ask(effort, other, Asking { together: true, ..ASLEEP }),
         );
     }
     suite.case("floor/UDP spinning", "32 bytes there and back, two hot threads, two cores", |effort| {
@@ -67,6 +75,21 @@ pub fn network() -> Suite {
             |effort| coalesced(effort, SEGMENTS),
         );
     }
+    messages_one_way(&mut suite);
+    let (one, two) = ("runtime/UDP one core", "runtime/UDP two cores");
+    suite.row(Row::new("P11", one, "floor/UDP one core", Stat::P50, Goal::AtMost(1.5)).was("<= 1.2"));
+    suite.row(Row::new("P11", two, "floor/UDP two cores", Stat::P50, Goal::AtMost(1.3)).was("<= 1.15"));
+    suite.row(Row::new("P11", one, "floor/TCP one core", Stat::P50, Goal::AtMost(1.2)));
+    suite.row(Row::new("P11", two, "floor/TCP two cores", Stat::P50, Goal::AtMost(1.15)));
+    suite.row(Row::new("P11", "runtime/UDP as they are one core", one, Stat::P50, Goal::AtMost(1.05)));
+    let awake = "runtime/UDP as they are two cores";
+    suite.row(Row::new("P11", awake, "floor/UDP spinning", Stat::P50, Goal::AtMost(1.3)));
+    keys::join(suite)
+}
+
+/// Adds the runtime's cases and the rows about messages that go one way, and about what sending together costs a lone
+/// message (goal P12).
+fn messages_one_way(suite: &mut Suite) {
     suite.case(
         "runtime/UDP one way",
         "class-1 messages from a task to one of another node, sent 43 together, taken as many at once as are there, at most 256 under way; nanoseconds per message",
@@ -82,20 +105,6 @@ pub fn network() -> Suite {
         "the same, each message sent by itself: a datagram each",
         |effort| one_way(effort, 1, WINDOW, Closing::Checksum),
     );
-    let (one, two) = ("runtime/UDP one core", "runtime/UDP two cores");
-    suite.row(Row::new("P11", one, "floor/UDP one core", Stat::P50, Goal::AtMost(1.5)).was("<= 1.2"));
-    suite.row(Row::new("P11", two, "floor/UDP two cores", Stat::P50, Goal::AtMost(1.3)).was("<= 1.15"));
-    suite.row(Row::new("P11", one, "floor/TCP one core", Stat::P50, Goal::AtMost(1.2)));
-    suite.row(Row::new("P11", two, "floor/TCP two cores", Stat::P50, Goal::AtMost(1.15)));
-    suite.row(Row::new("P11", "runtime/UDP as they are one core", one, Stat::P50, Goal::AtMost(1.05)));
-    let awake = "runtime/UDP as they are two cores";
-    suite.row(Row::new("P11", awake, "floor/UDP spinning", Stat::P50, Goal::AtMost(1.3)));
-    one_way_rows(&mut suite);
-    keys::join(suite)
-}
-
-/// Adds the rows about messages that go one way (goal P12).
-fn one_way_rows(suite: &mut Suite) {
     let (stream, floor) = ("runtime/UDP one way", "floor/UDP one way, 43 a datagram");
     suite.row(Row::new("P12", stream, floor, Stat::Mean, Goal::AtLeast(0.8)));
     let together = "runtime/UDP one way, 172 together";
@@ -103,6 +112,10 @@ fn one_way_rows(suite: &mut Suite) {
     // This row shows how much such calls save if only the calls cost time (D129).
     let segmented = "floor/UDP one way, 43 a datagram, segmented";
     suite.row(Row::new("P12", segmented, floor, Stat::Mean, Goal::AtLeast(1.0)));
+    for name in ["one core", "two cores"] {
+        let (together, alone) = (format!("runtime/UDP together {name}"), format!("runtime/UDP {name}"));
+        suite.row(Row::new("P12", together, &alone, Stat::P50, Goal::AtMost(1.03)));
+    }
 }
 
 /// How the datagrams between two nodes are protected.
@@ -143,9 +156,26 @@ fn two_nodes(table: &Arc<CellTable>, closing: Closing) -> [Builder; 2] {
     })
 }
 
-/// Measures round trips between two nodes over UDP. The tasks run on the first core and on `other`, and spin this long
-/// before they sleep.
-pub fn ask(effort: Effort, other: Core, how: Watched, spin: Duration, closing: Closing) -> Sample {
+/// How two nodes ask each other.
+#[derive(Clone, Copy)]
+pub struct Asking {
+    /// Who watches the nodes.
+    pub how: Watched,
+    /// How long the tasks spin before they sleep.
+    pub spin: Duration,
+    /// How the datagrams are protected.
+    pub closing: Closing,
+    /// Whether the tasks send everything `together`.
+    pub together: bool,
+}
+
+/// The tasks sleep before every message, and nothing is added.
+pub const ASLEEP: Asking =
+    Asking { how: Watched::Not, spin: Duration::ZERO, closing: Closing::Checksum, together: false };
+
+/// Measures round trips between two nodes over UDP. The tasks run on the first core and on `other`.
+pub fn ask(effort: Effort, other: Core, asking: Asking) -> Sample {
+    let Asking { how, spin, closing, together } = asking;
     let table = cells::asking(2, Usage::Send);
     let [a, b] = two_nodes(&table, closing).map(|node| node.spin(spin));
     let mut onlookers = [NodeId(0), NodeId(1)].map(|node| Onlooker::of(how, &table, node));
@@ -154,10 +184,14 @@ pub fn ask(effort: Effort, other: Core, how: Watched, spin: Duration, closing: C
     let times = effort.of(1_500);
     // A node's own threads run on the core of the thread that starts the node.
     cores::pin(other);
-    let b = b.task("t1", cells::answer).start().expect("a node that starts");
+    let answer =
+        move |ctx: &mut Context| if together { ctx.together(cells::answer) } else { cells::answer(ctx) };
+    let b = b.task("t1", answer).start().expect("a node that starts");
     cores::pin(Core::First);
-    let measure = move |ctx: &mut imrs_runtime::Context| {
-        tell.send(cells::ask(ctx, &cells::FULL, times, 1)?).expect("the harness listens");
+    let measure = move |ctx: &mut Context| {
+        let ask = |ctx: &mut Context| cells::ask(ctx, &cells::FULL, times, 1);
+        let sample = if together { ctx.together(ask) } else { ask(ctx) };
+        tell.send(sample?).expect("the harness listens");
         Ok(())
     };
     let a = a.task("t0", measure).start().expect("a node that starts");

@@ -46,7 +46,7 @@ pub fn recording() -> Suite {
         suite.case(
             format!("UDP {name}"),
             "send, receive, reply between Rust tasks of two nodes of one process; both are recorded or observed",
-            move |effort| network::ask(effort, Core::Second, how, Duration::ZERO, network::Closing::Checksum),
+            move |effort| network::ask(effort, Core::Second, network::Asking { how, ..network::ASLEEP }),
         );
         suite.case(
             format!("scripts {name}"),

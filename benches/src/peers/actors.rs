@@ -80,10 +80,12 @@ fn awake(suite: &mut Suite) {
         "blocking_send from a plain thread, the actor on a runtime of another one, two cores",
         kameo_from_a_thread,
     );
-    let own = "runtime/scripts ask";
-    suite.row(Row::new("P1", own, "tokio mpsc+oneshot/ask", Stat::P50, Goal::AtMost(0.75)));
-    for peer in ["ractor/ask", "kameo/ask", "actix/ask"] {
-        suite.row(Row::new("P1", own, peer, Stat::P50, Goal::AtLeast(2.5)));
+    for (own, bound) in [("runtime/scripts ask", 0.5), ("runtime/futures ask", 0.6)] {
+        let tokio = "tokio mpsc+oneshot/ask";
+        suite.row(Row::new("P1", own, tokio, Stat::P50, Goal::AtMost(bound)).was("<= 0.75"));
+        for peer in ["ractor/ask", "kameo/ask", "actix/ask"] {
+            suite.row(Row::new("P1", own, peer, Stat::P50, Goal::AtLeast(2.5)));
+        }
     }
     let thread = "runtime/thread asks script";
     suite.row(Row::new("P4", thread, "kameo/ask from a thread", Stat::P50, Goal::AtMost(0.8)));
@@ -285,4 +287,22 @@ async fn barrier(times: u32, n: usize) -> Sample {
         one.await.expect("no panic");
     }
     Sample::of_all(begins.elapsed(), u64::from(times))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::PEERS;
+    use crate::cases::handoff;
+
+    #[test]
+    fn scripts_and_futures_are_compared_with_every_library_on_one_thread() {
+        let mut suite = handoff::awake();
+        super::join(&mut suite);
+        for own in ["runtime/scripts ask", "runtime/futures ask"] {
+            for peer in PEERS.map(|peer| format!("{peer}/ask")) {
+                let rows = suite.rows.iter().filter(|row| row.subject == own && row.other() == Some(&peer));
+                assert_eq!(rows.count(), 1, "{own} : {peer}");
+            }
+        }
+    }
 }

@@ -93,6 +93,12 @@ impl<I: Slotted> Inbox<I> {
 impl<I: Slotted, P: Plants<Plant>> Inbox<I, P> {
     /// As [`new`](Inbox::new), with a bug planted for a test.
     pub fn planted(plant: P) -> (Self, Taker) {
+        // A larger input would take two lines, and each would cross to the other core by itself. The atomics of the
+        // explorers are larger.
+        #[cfg(not(test))]
+        const {
+            assert!(size_of::<Slot<I>>() == 64, "a slot is one cache line");
+        };
         let slot = |_| Slot { number: AtomicU64::new(0), words: I::atomics() };
         let inbox = Self {
             slots: Box::new(std::array::from_fn(slot)),
