@@ -6,6 +6,9 @@ use imrs_protocol::{CellTable, NodeId, Rate, TaskId, Ticks};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
+/// [`CellPlan::zones`] if nothing else is set. In the examples, fewer make searches longer as often as shorter.
+const MOST_ZONES: usize = 64;
+
 /// What a task does.
 #[derive(Clone, Debug)]
 pub enum Conduct {
@@ -194,6 +197,9 @@ pub struct CellPlan {
     /// notices, keeps covered states and dead variables, tries crashes, restarts and pauses at every event, and searches
     /// all independent parts together.
     pub everything: bool,
+    /// The greatest number of zones that a search by zones keeps for one control. If there would be more, the search keeps
+    /// the least zone that includes them all, their *hull*.
+    pub zones: usize,
     /// How many packets a node's transit buffer holds.
     pub transit: u16,
     /// Threads that search.
@@ -219,6 +225,7 @@ impl CellPlan {
             times: Times::Auto,
             step: 1,
             everything: false,
+            zones: MOST_ZONES,
             transit: 16,
             jobs: 1,
             legend: Legend::default(),

@@ -13,16 +13,29 @@ use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Searches a cell by zones. Every finding that it returns was found again on plain ticks.
+/// Searches a cell by zones. Every finding that it returns was found again on plain ticks. If one is not, and some zones became
+/// their hull, that hull may be the reason; then the cell is searched once more without hulls.
 pub(in crate::cell) fn explore(
     plan: &Arc<CellPlan>,
-    (phase, hypothesis): (Phase, usize),
+    of: (Phase, usize),
     faults: &CellFaults,
     progress: &dyn SearchProgress,
 ) -> Done {
     let start = Instant::now();
+    let (done, is_certain) = explore_with(plan, plan.zones, of, faults, (start, progress));
+    if is_certain { done } else { explore_with(plan, usize::MAX, of, faults, (start, progress)).0 }
+}
+
+/// Searches with at most `most` zones of a control. Also returns whether nothing was found that comes from a hull alone.
+fn explore_with(
+    plan: &Arc<CellPlan>,
+    most: usize,
+    (phase, hypothesis): (Phase, usize),
+    faults: &CellFaults,
+    (start, progress): (Instant, &dyn SearchProgress),
+) -> (Done, bool) {
     let runners = (0..plan.jobs.max(1)).map(|_| Runner::new(plan, phase, faults)).collect();
-    let mut search = Search::new(runners);
+    let mut search = Search::new(runners, most);
     let mut ended_by = search.run(plan, (start, progress)).or_else(|| search.shortcoming());
     let hits = std::mem::take(&mut search.hits);
     let pruned = hits.iter().any(|hit| hit.shown.last || hit.shown.kind == Kind::Deadlock);
@@ -37,6 +50,7 @@ pub(in crate::cell) fn explore(
             }
         }
     }
+    let is_certain = told.len() == hits.len() || search.store.hulls == 0;
     if ended_by.is_none() {
         told.extend(standstill(plan, (phase, hypothesis), faults, &mut search));
     }
@@ -49,7 +63,7 @@ pub(in crate::cell) fn explore(
         times: Times::Zones,
         parts: 1,
         states: store.len() as u64,
-        inexact,
+        inexact: inexact + store.hulls,
         moves: runners.iter().map(|runner| runner.moves).sum(),
         depth,
         whole_depth: store.least_left().map_or(depth, u64::from),
@@ -66,7 +80,7 @@ pub(in crate::cell) fn explore(
         mattered.iter_mut().zip(&runner.mattered).for_each(|(all, one)| *all |= one);
     }
     let reached = runners.into_iter().map(|runner| runner.reached).reduce(Reached::join).unwrap_or_default();
-    Done { coverage, findings, warnings, reached, mattered }
+    (Done { coverage, findings, warnings, reached, mattered }, is_certain)
 }
 
 impl Search {

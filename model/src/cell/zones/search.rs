@@ -50,8 +50,9 @@ pub(super) struct Search {
 }
 
 impl Search {
-    pub fn new(runners: Vec<Runner>) -> Self {
-        let (store, walks) = (Store::default(), Walks::default());
+    /// A search without states. If a control would have more than `most` zones, the search keeps their hull instead.
+    pub fn new(runners: Vec<Runner>, most: usize) -> Self {
+        let (store, walks) = (Store::new(most), Walks::default());
         Self { runners, store, hits: Vec::new(), walks, inexact: 0, outgrown: false, longest: 0 }
     }
 

@@ -43,6 +43,10 @@ struct Known {
 /// All kept states of a search.
 #[derive(Default)]
 pub struct Store {
+    /// The greatest number of zones of a control with the same remaining faults.
+    most: usize,
+    /// How many times zones became their hull.
+    pub hulls: u64,
     pub states: Vec<State>,
     /// The controls by number.
     pub controls: Vec<Box<[u8]>>,
@@ -54,6 +58,11 @@ pub struct Store {
 }
 
 impl Store {
+    /// A store without states. If a control would have more than `most` zones, the store keeps their hull instead.
+    pub fn new(most: usize) -> Self {
+        Self { most, ..Self::default() }
+    }
+
     /// The state that now has the times of this state.
     pub fn heir(&self, mut state: u32) -> u32 {
         while let Some(heir) = self.states[state as usize].heir {
@@ -83,14 +92,7 @@ impl Store {
         });
         let (mut zone, mut origins) = (origin.zone.clone(), vec![origin]);
         let states = &mut self.states;
-        // The new state replaces the kept states whose times it includes.
-        known.retain(|old| {
-            let covers = left.covers(old.left) && old.zone.is_in(&zone);
-            if covers && let Some(at) = old.state {
-                states[at as usize].pass_to(number);
-            }
-            !covers
-        });
+        replace(known, states, (left, &zone), number);
         // The new state joins with states that are still to be expanded, if the union of both zones is a zone.
         while let Some((at, state, merged)) = known.iter().enumerate().find_map(|(at, old)| {
             let state = old.state.filter(|_| old.left == left)?;
@@ -101,6 +103,12 @@ impl Store {
             state.pass_to(number);
             origins.append(&mut state.origins);
             zone = merged;
+        }
+        let is_like = |old: &&Known| old.left == left;
+        if known.iter().filter(is_like).count() >= self.most {
+            self.hulls += 1;
+            zone = known.iter().filter(is_like).fold(zone, |all, old| all.hull(&old.zone));
+            origins.append(&mut replace(known, states, (left, &zone), number));
         }
         known.push(Known { left, zone: zone.clone(), state: Some(number), states: vec![number] });
         states.push(State { control, zone: Some(zone), heir: None, origins, depth });
@@ -158,6 +166,27 @@ impl Store {
         let left = self.open.iter().map(|&Reverse((_, _, number))| &self.states[number as usize]);
         left.filter(|state| state.zone.is_some()).map(|state| state.depth).min()
     }
+}
+
+/// Lets a new state replace the zones whose times it includes, and the states of these zones that are still to be expanded.
+/// Returns how these states were reached.
+fn replace(
+    known: &mut Vec<Known>,
+    states: &mut [State],
+    (left, zone): (Left, &Dbm),
+    new: u32,
+) -> Vec<Origin> {
+    let mut origins = Vec::new();
+    known.retain(|old| {
+        let covers = left.covers(old.left) && old.zone.is_in(zone);
+        if covers && let Some(at) = old.state {
+            let state = &mut states[at as usize];
+            state.pass_to(new);
+            origins.append(&mut state.origins);
+        }
+        !covers
+    });
+    origins
 }
 
 /// The first zone that covers the times `zone` and was reached with at least the faults `left`.

@@ -36,7 +36,7 @@ pub fn compare_zones_with_walks(
     let hypotheses = plan.faults.iter().filter(|faults| !faults.are_none());
     let phases = std::iter::once((Phase::FaultFree, CellFaults::default()));
     for (phase, faults) in phases.chain(hypotheses.map(|faults| (Phase::Faults, faults.clone()))) {
-        let mut search = Search::new(vec![Runner::new(&plan, phase, &faults)]);
+        let mut search = Search::new(vec![Runner::new(&plan, phase, &faults)], plan.zones);
         let ended_by = search.run(&plan, (Instant::now(), &Silent));
         agreement.searches += 1;
         agreement.states += search.store.len() as u64;
