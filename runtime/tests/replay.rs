@@ -1,11 +1,12 @@
 //! Tests that a replay of a node's recorded inputs gives bit-equal outputs (D62).
 
+use crate::common::kept::Kept;
 use crate::common::{LONG, LONG_TICKS, Tape, ask, busy, cell, finish, meets_and_asks, on, one_node, table};
 use imrs_protocol::{CellTable, Incarnation, Input, NodeId, NodeTable, Request, TaskId, Ticks};
 use imrs_runtime::record::{About, FileRecorder, OutputDigest, Recorded, Recorder, Step, replay};
 use imrs_wire::recording::{Record, RecordingReader};
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 fn run_recorded() -> (Arc<CellTable>, BTreeMap<TaskId, Vec<Recorded>>) {
     let (table, network) = busy();
@@ -57,21 +58,6 @@ fn a_recorded_run_of_three_nodes_replays_bit_equal_and_a_change_is_noticed() {
             replay(&node, task, Incarnation(2), false, log.clone()).is_err(),
             "another life sends other ids"
         );
-    }
-}
-
-/// A sink that keeps all written bytes.
-#[derive(Clone, Default)]
-struct Kept(Arc<Mutex<Vec<u8>>>);
-
-impl std::io::Write for Kept {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.0.lock().unwrap().extend_from_slice(bytes);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> std::io::Result<()> {
-        Ok(())
     }
 }
 

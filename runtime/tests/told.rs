@@ -1,14 +1,14 @@
 //! A script takes the signal of a fused step before any other input of its task, also if a turn ends or another thread brings input
 //! before the script goes on: its recording could not be replayed otherwise (D207).
 
+use crate::common::kept::Kept;
 use crate::common::{LONG, LONG_TICKS, one_node, table};
 use imrs_protocol::script::{Binary, End, Op, Outcomes, Program, ProgramBuilder, Type};
 use imrs_protocol::{Cell, Incarnation, NodeId, NodeTable, PortDecl, PortId, Target, TaskId, Ticks, Usage};
 use imrs_runtime::TaskEnd;
 use imrs_runtime::record::{About, FileRecorder, RecordingReader, Verdict, replay_scripts, statements};
 use std::collections::BTreeMap;
-use std::io::{self, Write};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 /// More scripts than take their signals in one turn.
 const RECEIVERS: u16 = 60;
@@ -17,20 +17,6 @@ const MESSAGES: u16 = 20_000;
 const NEWS: PortId = PortId(0);
 const SENDER: TaskId = TaskId(RECEIVERS);
 const THREAD: TaskId = TaskId(RECEIVERS + 1);
-
-#[derive(Clone, Default)]
-struct Kept(Arc<Mutex<Vec<u8>>>);
-
-impl Write for Kept {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.lock().unwrap().extend_from_slice(bytes);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
 
 /// A script that sends all receivers a message each, one by one, and then waits a little.
 fn sender() -> Arc<Program> {

@@ -1,5 +1,6 @@
 //! Cells and small helpers shared by the tests with real threads.
 
+pub mod kept;
 pub mod monitor;
 pub mod udp;
 

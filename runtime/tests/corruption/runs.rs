@@ -1,5 +1,6 @@
 //! Recordings of runs in which a little of everything happens.
 
+use crate::common::kept::Kept;
 use crate::common::{A, B, LONG, busy, cell, finish, meets_and_asks, network, on, table};
 use imrs_protocol::script::{Binary, Op, Outcomes, Program, ProgramBuilder, StatementOutcome, Type};
 use imrs_protocol::{Incarnation, NodeId, NodeTable, PortDecl, PortId, Target, TaskId, Ticks, Usage};
@@ -8,9 +9,8 @@ use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::record::{About, FileRecorder, statements};
 use imrs_runtime::script::{Actions, Call, Functions, Simulated};
 use std::collections::BTreeMap;
-use std::io::{self, Write};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicI32, Ordering};
-use std::sync::{Arc, Mutex};
 
 const INCARNATION: (Incarnation, bool) = (Incarnation(1), false);
 
@@ -19,21 +19,6 @@ pub struct Recorded {
     pub table: NodeTable,
     pub programs: BTreeMap<TaskId, Arc<Program>>,
     pub bytes: Vec<u8>,
-}
-
-/// A sink that keeps all written bytes.
-#[derive(Clone, Default)]
-struct Kept(Arc<Mutex<Vec<u8>>>);
-
-impl Write for Kept {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.lock().unwrap().extend_from_slice(bytes);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
 }
 
 struct Recording(Arc<FileRecorder>, Kept);

@@ -1,5 +1,6 @@
 //! Three nodes over loopback UDP whose tasks use every primitive, at full speed or at a fixed pace.
 
+use crate::common::kept::Kept;
 use crate::common::udp::{builders, links};
 use crate::common::{A, B, C, LONG, cell, finish, table};
 use imrs_protocol::{
@@ -12,7 +13,6 @@ use imrs_runtime::record::{About, FileRecorder};
 use imrs_runtime::{Builder, Context, Rendezvous, Runtime, Sent, TaskError};
 use imrs_wire::obs::Snapshot;
 use std::collections::{BTreeMap, VecDeque};
-use std::io::{self, Write};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -353,21 +353,6 @@ pub fn run(plan: Plan, mut look: impl FnMut() -> bool) -> Ran {
 impl Ran {
     pub fn udp(&self, count: UdpCount) -> u64 {
         self.links.iter().map(|link| link.inner().count(count)).sum()
-    }
-}
-
-/// A sink that keeps what was written.
-#[derive(Clone, Default)]
-struct Kept(Arc<Mutex<Vec<u8>>>);
-
-impl Write for Kept {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.lock().unwrap().extend_from_slice(bytes);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
     }
 }
 
