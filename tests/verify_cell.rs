@@ -308,7 +308,10 @@ fn the_model_tick_rounds_nothing() {
     assert_eq!(whole.code, Some(0), "{whole:?}");
     let coarse = verify(text("tick 1 msec; model tick 100 msec;"));
     assert_eq!(coarse.code, Some(0), "{coarse:?}");
-    assert!(coarse.out.contains("of the times between the ends every 100 msec is looked at"), "{coarse:?}");
+    assert!(coarse.out.contains("at every tick"), "{coarse:?}");
+    let some = run(&["verify", path.to_str().expect("UTF-8"), "--times", "every"]);
+    assert_eq!(some.code, Some(0), "{some:?}");
+    assert!(some.out.contains("of the times between the ends every 100 msec is looked at"), "{some:?}");
 
     let odd = text("tick 1 msec;").replace("time_out = 40 msec", "time_out = 22500 usec");
     let found = verify(odd);

@@ -103,8 +103,9 @@ impl Subject {
             args::Times::Every => Times::Every,
             args::Times::Zones => Times::Zones,
         };
-        if plan.times == Times::Zones {
-            // A search by zones takes no longer if the ticks are finer.
+        // A search by zones takes no longer if the ticks are finer. It covers no pauses and no drift.
+        let is_by_zones = plan.faults.iter().all(|faults| faults.pause.is_empty() && faults.drift == 0);
+        if plan.times == Times::Zones || plan.times == Times::Auto && is_by_zones {
             plan.step = 1;
         }
         Ok(plan)

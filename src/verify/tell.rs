@@ -122,7 +122,7 @@ impl Telling<'_> {
         let model = self
             .subject
             .model_tick_us
-            .filter(|_| self.plan.times != Times::Zones)
+            .filter(|_| self.plan.step > 1)
             .map(|usec| format!("; of the times between the ends every {} is looked at", msec(usec)));
         let mut used: Vec<Times> = self.verdicts.phases.iter().map(|phase| phase.times).collect();
         used.sort_unstable_by(|a, b| b.cmp(a));

@@ -16,11 +16,12 @@ pub(super) struct Done {
 }
 
 impl Done {
-    /// Adds what an earlier search of the same phase, at other event times, found and reached.
+    /// Adds what an earlier search of the same phase, at other event times, found and reached, and its time.
     pub fn with(mut self, earlier: Option<Self>) -> Self {
         if let Some(earlier) = earlier {
             self.findings.extend(earlier.findings);
             self.warnings.extend(earlier.warnings);
+            self.coverage.seconds += earlier.coverage.seconds;
             self.reached = self.reached.join(earlier.reached);
             self.mattered.iter_mut().zip(earlier.mattered).for_each(|(all, one)| *all |= one);
         }

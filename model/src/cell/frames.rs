@@ -58,7 +58,7 @@ pub struct Scene {
 #[must_use]
 pub fn scenes(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Scene> {
     let plan = &super::outside::with_programs(plan);
-    let plan = &super::search::timed(plan, finding.times);
+    let plan = &plan.timed(finding.times);
     let part = finding.part.and_then(|number| parts(plan).into_iter().nth(number));
     let plan = &only(plan, part.as_ref());
     let faults = match finding.phase {

@@ -18,7 +18,7 @@ use super::outside::with_programs;
 use super::parts::{only, parts};
 use super::plan::{CellFaults, CellPlan, Times};
 use super::run_state::{CellMove, RunState};
-use super::search::{Kept, explore_and_keep, timed};
+use super::search::{Kept, explore_and_keep};
 use super::seen::Mark;
 use super::unpacked::Unpacked;
 use super::verdict::{Finding, Kind, Phase};
@@ -111,7 +111,7 @@ pub fn compare_with_walks(
     effort: Effort,
     draw: &mut dyn FnMut(usize) -> usize,
 ) -> Result<Agreement, Disagreement> {
-    let plan = timed(&with_programs(plan), effort.times);
+    let plan = with_programs(plan).timed(effort.times);
     let mut agreement = Agreement::default();
     let hypotheses = plan.faults.iter().filter(|faults| !faults.are_none());
     let phases = std::iter::once((Phase::FaultFree, CellFaults::default()));

@@ -14,7 +14,7 @@
 //! - An action ends at its least or most time. An action that ends gives each of the results worth trying, or fails within
 //!   the budget.
 //! - These times are [`Times::Ends`]. The finer [`Times`] also let actions end and packets arrive right after any other
-//!   event of the cell, or at every tick.
+//!   event of the cell, or at every tick. `look` chooses among them.
 //! - Two nodes cannot reach each other within a tick, so nodes act one after the other. Checks are evaluated after every step.
 //!   A check that reads several nodes must hold in any order of these nodes (D161).
 //! - On one node the search tries every order of what its tasks do, of arrivals and of ends of actions. Each task notices the
@@ -47,6 +47,7 @@ mod frames;
 mod guard;
 mod judge;
 mod legend;
+mod look;
 mod missed;
 mod outside;
 mod parts;
@@ -77,10 +78,10 @@ pub use follow::{
 pub use frames::{NodeFrame, Scene, Shows, scenes};
 pub use guard::{Agreement, Disagreement, Effort, compare_with_walks};
 pub use legend::Legend;
+pub use look::{check_cell, check_cell_and_tell};
 pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds, Pause, Times};
 pub use progress::{FoundSoFar, SearchProgress, SoFar};
 pub use run_state::CellMove;
-pub use search::{check_cell, check_cell_and_tell};
 pub use simulate::{Chooser, Ended, Fault, Found, MOST_FAULTS, Schedule, Shrunk, Simulated, Simulator, Tape};
 pub use story::drawn;
 pub use svg::svg;

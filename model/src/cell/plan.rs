@@ -148,13 +148,27 @@ impl Default for Budget {
     }
 }
 
+impl Budget {
+    /// Says that the time ended a search.
+    pub(super) fn out_of_time(&self) -> String {
+        format!("out of time ({} s)", (self.seconds * 1000.0).round() / 1000.0)
+    }
+
+    /// Says that the memory ended a search.
+    pub(super) fn out_of_memory(&self) -> String {
+        format!("out of memory ({} MiB)", self.bytes >> 20)
+    }
+}
+
 /// The times that a search tries for the ends of actions, from their least to their most time, and for the arrivals of
 /// packets, from one tick to their link's bound.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Times {
-    /// The finest of three choices within limits: [`Every`](Self::Every), if that takes at most
-    /// [`AUTO_STATES`](Self::AUTO_STATES) states, with faults [`AUTO_STATES_WITH_FAULTS`](Self::AUTO_STATES_WITH_FAULTS),
-    /// and a quarter of the time; else [`Between`](Self::Between) within the same limits; else [`Ends`](Self::Ends).
+    /// All times, if that takes at most three quarters of the seconds of the budget: as with [`Every`](Self::Every) if that
+    /// takes at most [`AUTO_STATES`](Self::AUTO_STATES) states, with faults
+    /// [`AUTO_STATES_WITH_FAULTS`](Self::AUTO_STATES_WITH_FAULTS), and else as with [`Zones`](Self::Zones). If neither ends in
+    /// that time: as with [`Ends`](Self::Ends). Zones do not cover pauses and drift; then `Every` and
+    /// [`Between`](Self::Between) are tried within these limits.
     #[default]
     Auto,
     /// Actions end at their least or most time, packets arrive at their bound.
@@ -232,6 +246,11 @@ impl CellPlan {
             outside: Vec::new(),
             part: None,
         }
+    }
+
+    /// A copy of the plan with other event times.
+    pub(super) fn timed(&self, times: Times) -> Arc<Self> {
+        Arc::new(Self { times, ..self.clone() })
     }
 
     /// Whether the body of some task is outside the cell.

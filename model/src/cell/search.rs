@@ -4,25 +4,19 @@
 //! Threads expand a batch of kept states in parallel, and look up only states that were kept before the batch. Then one
 //! thread merges the results in the order of the batch, so the answer is the same for any number of threads.
 
-use super::conclude::conclude;
 use super::done::Done;
-use super::each_part::look_at_each;
-use super::judge::{self, Reached, Shown};
-use super::outside::{tried, with_programs};
-use super::parts::parts;
-use super::plan::{CellFaults, CellPlan, Conduct, Times};
+use super::judge::{Reached, Shown};
+use super::plan::{CellFaults, CellPlan};
 use super::progress::{SearchProgress, SoFar};
 use super::run_state::{CellMove, RunState};
 use super::seen::{Seen, is_in_sample};
 use super::standstill::{self, OutOfMemory, StateGraph};
-use super::verdict::{Coverage, Finding, Kind, Phase, Refused, Verdicts};
+use super::verdict::{Coverage, Finding, Kind, Phase};
 use super::walker::{Hit, Origin, Walker, Walks};
-use super::{starve, story, unfinished, zones};
+use super::{starve, story, unfinished};
 use crate::Silent;
 use crate::explore::resident_bytes;
 use crate::side_by_side::side_by_side;
-use imrs_protocol::TaskId;
-use imrs_protocol::script::{Address, Op};
 use std::collections::{HashSet, VecDeque};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -71,132 +65,19 @@ pub(super) fn explore_and_keep(plan: &Arc<CellPlan>, phase: Phase, faults: &Cell
     Kept { seen: search.seen, states: coverage.states, complete: coverage.complete, hits, findings, reached }
 }
 
-/// Checks a cell: first without faults, which finds what goes wrong by itself, then within each hypothesis of faults.
-#[must_use]
-pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
-    check_cell_and_tell(plan, &Silent)
-}
-
-/// As [`check_cell`], and also reports to `progress` how far the searches are.
-#[must_use]
-pub fn check_cell_and_tell(plan: &Arc<CellPlan>, progress: &dyn SearchProgress) -> Verdicts {
-    let outside = tried(plan);
-    let is_open = plan.has_extern() || plan.has_open_results();
-    let plan = &with_programs(plan);
-    if let Some(refused) = refused(plan) {
-        return Verdicts { refused: Some(refused), ..Verdicts::default() };
-    }
-    let (parts, none) = (parts(plan), CellFaults::default());
-    let without_faults = |plan: &Arc<CellPlan>| look(plan, (Phase::FaultFree, 0), &none, progress);
-    let mut done = vec![look_at_each(plan, &parts, &none, None, without_faults)];
-    progress.finished(&done[0].coverage);
-    for (hypothesis, faults) in plan.faults.iter().enumerate().filter(|(_, faults)| !faults.are_none()) {
-        let search = |plan: &Arc<CellPlan>| look(plan, (Phase::Faults, hypothesis), faults, progress);
-        let next = look_at_each(plan, &parts, faults, Some(&done[0]), search);
-        progress.finished(&next.coverage);
-        done.push(next);
-    }
-    conclude(plan, done, (outside, is_open))
-}
-
-/// A copy of the plan with other event times.
-pub(super) fn timed(plan: &Arc<CellPlan>, times: Times) -> Arc<CellPlan> {
-    Arc::new(CellPlan { times, ..CellPlan::clone(plan) })
-}
-
-/// Searches with the finest event times that take no more states than [`Times::Auto`] allows.
-fn look(
+/// Searches a phase. `says_what_is_left`: if a budget ends the search, also finds out what makes it large, which takes time.
+pub(super) fn explore(
     plan: &Arc<CellPlan>,
     phase: (Phase, usize),
     faults: &CellFaults,
     progress: &dyn SearchProgress,
+    says_what_is_left: bool,
 ) -> Done {
-    let explore = |plan: &Arc<CellPlan>| search(plan, phase, faults, progress).1;
-    // Only a search whose result is reported also computes what it left unexpanded, because that takes time.
-    let explore_and_say = |plan: &Arc<CellPlan>| {
-        let (search, mut done) = search(plan, phase, faults, progress);
+    let (search, mut done) = search(plan, phase, faults, progress);
+    if says_what_is_left {
         done.coverage.unfinished = unfinished::of(plan, faults, &search.sample, search.queue.len());
-        done
-    };
-    if plan.times == Times::Zones {
-        progress.started(phase, Times::Zones);
-        return zones::explore(plan, phase, faults, progress);
     }
-    if plan.times != Times::Auto {
-        return explore_and_say(plan);
-    }
-    // If each action and packet can take only one time, the coarse times are all times. But a pause may end at any time.
-    if plan.is_exact() && faults.pause.is_empty() {
-        let mut done = explore_and_say(&timed(plan, Times::Ends));
-        done.coverage.times = Times::Every;
-        return done;
-    }
-    let most = if faults.are_none() { Times::AUTO_STATES } else { Times::AUTO_STATES_WITH_FAULTS };
-    let mut tried: Option<Done> = None;
-    for times in [Times::Every, Times::Between] {
-        let mut short = CellPlan::clone(&timed(plan, times));
-        short.budget.states = short.budget.states.min(most);
-        short.budget.seconds /= 4.0;
-        let mut done = explore(&Arc::new(short.clone())).with(tried);
-        if done.coverage.complete {
-            if !done.findings.is_empty() {
-                // Findings of the coarse times (`Times::Ends`) are reported first: their schedules use declared times,
-                // which are rounder numbers.
-                short.times = Times::Ends;
-                done.findings.splice(0..0, explore(&Arc::new(short)).findings);
-            }
-            return done;
-        }
-        tried = Some(done);
-    }
-    explore_and_say(&timed(plan, Times::Ends)).with(tried)
-}
-
-/// Most nodes, links and tasks in one search: a bit for each node and each direction of a link, a byte for a task.
-const MOST: (usize, usize, usize) = (64, 255, 32);
-
-/// Refuses a cell that is too large, or whose programs store message numbers, which no canonical state can hold (D51).
-fn refused(plan: &CellPlan) -> Option<Refused> {
-    let names = |task: &Conduct| match task {
-        Conduct::Program { program, .. } => program.code.iter().position(|op| *op == Op::ReceivedId),
-        Conduct::Extern(_) => None,
-    };
-    let keeps = || {
-        let (task, at) = plan.tasks.iter().enumerate().find_map(|(i, task)| Some((i, names(task)?)))?;
-        let name = judge::name(&plan.table, task);
-        let why = format!("{name} keeps the number of a message, which the checker cannot follow");
-        let at = Address::try_from(at).unwrap_or(Address::MAX);
-        Some(Refused { task: TaskId::from_index(task), at, why })
-    };
-    too_large(plan).or_else(|| not_by_zones(plan)).or_else(keeps)
-}
-
-/// Refuses a plan that the search by zones does not cover, rather than covering less of it.
-fn not_by_zones(plan: &CellPlan) -> Option<Refused> {
-    if plan.times != Times::Zones {
-        return None;
-    }
-    let none = CellFaults::default();
-    let what =
-        std::iter::once(&none).chain(&plan.faults).find_map(|faults| zones::uncovered(plan, faults))?;
-    let why = format!("zones do not cover {what} yet; use --times every");
-    Some(Refused { task: TaskId::from_index(0), at: 0, why })
-}
-
-/// Refuses a cell with more nodes, tasks or links than moves can number.
-pub(super) fn too_large(plan: &CellPlan) -> Option<Refused> {
-    let cell = plan.table.cell();
-    let (nodes, tasks, links) = MOST;
-    if cell.nodes.len() <= nodes && cell.tasks.len() <= tasks && cell.links.len() <= links {
-        return None;
-    }
-    let why = format!(
-        "{} nodes, {} tasks and {} links are more than the checker takes: at most {nodes}, {tasks} and {links}",
-        cell.nodes.len(),
-        cell.tasks.len(),
-        cell.links.len()
-    );
-    Some(Refused { task: TaskId::from_index(0), at: 0, why })
+    done
 }
 
 fn search(
@@ -223,7 +104,7 @@ fn search(
         let room = plan.budget.bytes.saturating_sub(resident_bytes().unwrap_or(0));
         match search.graph.all_still(&search.cores, room) {
             Ok(all) => still = all,
-            Err(OutOfMemory) => ended_by = Some(out_of_memory(plan)),
+            Err(OutOfMemory) => ended_by = Some(plan.budget.out_of_memory()),
         }
     }
     // Several still states are tried, because not every cycle has a task that waits for others.
@@ -266,10 +147,6 @@ fn search(
     (search, Done { coverage, findings, warnings, reached, mattered })
 }
 
-fn out_of_memory(plan: &CellPlan) -> String {
-    format!("out of memory ({} MiB)", plan.budget.bytes >> 20)
-}
-
 impl Search {
     /// Searches until the queue is empty, or returns the budget that ended the search.
     fn run(
@@ -286,10 +163,10 @@ impl Search {
         let mut told = 0;
         while !self.queue.is_empty() {
             if start.elapsed().as_secs_f64() > budget.seconds {
-                return Some(format!("out of time ({} s)", budget.seconds));
+                return Some(budget.out_of_time());
             }
             if resident_bytes().is_some_and(|bytes| bytes > budget.bytes) {
-                return Some(out_of_memory(plan));
+                return Some(plan.budget.out_of_memory());
             }
             let seconds = start.elapsed().as_secs_f64();
             progress.states(&SoFar {

@@ -1,16 +1,20 @@
 //! Difference-bound matrices over integers: each describes a set of points by bounds on differences of variables.
 
 use std::fmt;
+use std::sync::Arc;
 
 /// The value that stands for no bound.
 const FREE: i64 = i64::MAX;
 
 /// A non-empty set of integer points. For each pair of variables the matrix holds the least `c` with `x_i - x_j <= c` at
 /// all points (closed), so two matrices are equal exactly if their sets are. The first variable is zero.
+///
+/// Copies share their bounds until one of them changes. A search keeps most sets several times: as the times of a state, and
+/// as the times with which the state was reached.
 #[derive(Clone, PartialEq, Eq, Hash)]
 pub(crate) struct Dbm {
     len: usize,
-    bounds: Vec<i64>,
+    bounds: Arc<[i64]>,
 }
 
 /// The error that a constraint would make the set empty.
@@ -25,7 +29,7 @@ const fn plus(a: i64, b: i64) -> i64 {
 impl Dbm {
     /// The set that has only the variable zero.
     pub fn zero() -> Self {
-        Self { len: 1, bounds: vec![0] }
+        Self { len: 1, bounds: Arc::new([0]) }
     }
 
     /// The number of variables, including the variable zero.
@@ -33,8 +37,8 @@ impl Dbm {
         self.len
     }
 
-    const fn at(&self, i: usize, j: usize) -> i64 {
-        self.bounds.as_slice()[i * self.len + j]
+    fn at(&self, i: usize, j: usize) -> i64 {
+        self.bounds[i * self.len + j]
     }
 
     /// The least `c` with `x_i - x_j <= c` at all points; `None` if there is no such bound.
@@ -49,12 +53,12 @@ impl Dbm {
     }
 
     /// Whether `x_i - x_j <= c` at all points.
-    pub const fn entails(&self, i: usize, j: usize, c: i64) -> bool {
+    pub fn entails(&self, i: usize, j: usize, c: i64) -> bool {
         self.at(i, j) <= c
     }
 
     /// Whether `x_i - x_j <= c` at some point.
-    pub const fn intersects(&self, i: usize, j: usize, c: i64) -> bool {
+    pub fn intersects(&self, i: usize, j: usize, c: i64) -> bool {
         plus(self.at(j, i), c) >= 0
     }
 
@@ -66,7 +70,7 @@ impl Dbm {
             new[..old].copy_from_slice(row);
         }
         bounds[len * len - 1] = 0;
-        *self = Self { len, bounds };
+        *self = Self { len, bounds: bounds.into() };
         old
     }
 
@@ -82,15 +86,16 @@ impl Dbm {
             return Err(Empty);
         }
         // Only paths over the new bound can be shorter than before.
-        for from in 0..self.len {
-            let over = plus(self.at(from, i), c);
+        let (len, bounds) = (self.len, Arc::make_mut(&mut self.bounds));
+        for from in 0..len {
+            let over = plus(bounds[from * len + i], c);
             // A path that is no shorter to `j` is no shorter to any other variable.
-            if over >= self.at(from, j) {
+            if over >= bounds[from * len + j] {
                 continue;
             }
-            for to in 0..self.len {
-                let path = plus(over, self.at(j, to));
-                let bound = &mut self.bounds[from * self.len + to];
+            for to in 0..len {
+                let path = plus(over, bounds[j * len + to]);
+                let bound = &mut bounds[from * len + to];
                 *bound = path.min(*bound);
             }
         }
@@ -104,17 +109,17 @@ impl Dbm {
         for &(i, a) in terms {
             bounds.extend(terms.iter().map(|&(j, b)| plus(self.at(i, j), a - b)));
         }
-        Self { len: terms.len(), bounds }
+        Self { len: terms.len(), bounds: bounds.into() }
     }
 
     /// Whether all points of this set are also in `other`.
     pub fn is_in(&self, other: &Self) -> bool {
-        self.len == other.len && self.bounds.iter().zip(&other.bounds).all(|(mine, others)| mine <= others)
+        self.len == other.len && self.bounds.iter().zip(&*other.bounds).all(|(mine, others)| mine <= others)
     }
 
     /// The least set of this kind that contains all points of both sets.
     pub fn hull(&self, other: &Self) -> Self {
-        let bounds = self.bounds.iter().zip(&other.bounds).map(|(&a, &b)| a.max(b)).collect();
+        let bounds = self.bounds.iter().zip(&*other.bounds).map(|(&a, &b)| a.max(b)).collect();
         Self { len: self.len, bounds }
     }
 
@@ -153,7 +158,7 @@ impl Dbm {
 
     /// The bounds that are less than those of another set over the same variables.
     fn tighter(&self, than: &Self) -> impl Iterator<Item = (usize, usize, i64)> {
-        let both = self.bounds.iter().zip(&than.bounds).enumerate();
+        let both = self.bounds.iter().zip(&*than.bounds).enumerate();
         let less = both.filter(|(_, (mine, others))| mine < others);
         less.map(|(at, (&mine, _))| (at / self.len, at % self.len, mine))
     }

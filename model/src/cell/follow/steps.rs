@@ -5,7 +5,6 @@ use super::run::{Happened, Run, Turn};
 use crate::cell::outside::with_programs;
 use crate::cell::plan::{CellFaults, CellPlan, Times};
 use crate::cell::run_state::{CellMove, RunState};
-use crate::cell::search::timed;
 use imrs_protocol::script::{Address, End, ScriptInput};
 use imrs_protocol::{Call, Outcome, PortId, Signal, TaskId};
 use std::collections::BTreeSet;
@@ -56,7 +55,7 @@ pub fn steps_in_model(plan: &Arc<CellPlan>, run: &Run) -> Steps {
     }
     let mut steps = Steps { kinds: missing.len(), ..Steps::default() };
     let mut draw = Draw(1);
-    let between = timed(&plan, Times::Between);
+    let between = plan.timed(Times::Between);
     while !missing.is_empty() && start.elapsed().as_secs_f64() < plan.budget.seconds {
         steps.walks += 1;
         // Half of the random walks have no faults, because a walk with faults seldom reaches steps that need a long time

@@ -23,11 +23,11 @@ pub use schedule::{Chooser, Fault, MOST_FAULTS, Schedule, Tape};
 
 use super::alike::shows_alike;
 use super::judge::{Reached, Shown};
+use super::look::too_large;
 use super::missed::Missed;
 use super::outside::with_programs;
 use super::plan::{CellFaults, CellPlan, Conduct, Times};
 use super::run_state::RunState;
-use super::search::{timed, too_large};
 use super::story;
 use super::verdict::{Finding, Phase, Refused};
 use crate::chart::{Folding, chart};
@@ -154,7 +154,7 @@ impl Simulator {
         if let Some(refused) = too_large(plan) {
             return Err(refused);
         }
-        let plan = timed(&with_programs(plan), Times::Every);
+        let plan = with_programs(plan).timed(Times::Every);
         let plain = run(&plan, &[], Source::Tape(&Tape::new()), Limit { steps, stop: None });
         let links = RunState::new(&plan, &CellFaults::default()).cell.links;
         let census = Census::of(&plan, &links, &plain);

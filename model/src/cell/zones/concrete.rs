@@ -32,16 +32,11 @@ pub fn told(
     run.moves.truncate(hit.moves);
     run.silent_until = None;
     let legs = legs_to(search, hit.state, zone, Some(run))?;
-    let plan = &at_every_tick(plan);
+    let plan = &plan.timed(Times::Every);
     let replay = Replay::of(plan, (phase, faults), &legs)?;
     let moves = replay.shows(&hit.shown).then_some(replay.moves)?;
     let shown = starve::decided(plan, &moves, hit.shown.clone());
     Some(story::finding(plan, (phase, hypothesis), faults, moves, &shown))
-}
-
-/// The same plan with plain ticks.
-pub fn at_every_tick(plan: &Arc<CellPlan>) -> Arc<CellPlan> {
-    Arc::new(CellPlan { times: Times::Every, ..CellPlan::clone(plan) })
 }
 
 /// Moves on plain ticks that lead to a kept state, at one of the times in the state's zone.
@@ -115,7 +110,7 @@ fn rerun(search: &mut Search, state: Option<u32>, answers: &[u16]) -> Option<(Ru
             let state = &store.states[at as usize];
             (state.zone.clone()?, store.controls[state.control as usize].clone())
         }
-        None => (Dbm::zero(), Box::default()),
+        None => (Dbm::zero(), Arc::default()),
     };
     let from = if state.is_some() { From::Kept(&control) } else { From::Start };
     runner.begin_state();

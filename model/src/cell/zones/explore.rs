@@ -98,7 +98,7 @@ fn standstill(
     search: &mut Search,
 ) -> Option<Finding> {
     let still = search.walks.still(&search.store);
-    let every = &concrete::at_every_tick(plan);
+    let every = &plan.timed(Times::Every);
     let mut idle = HashSet::new();
     still.into_iter().take(MOST_TOLD).find_map(|state| {
         let moves = concrete::moves_to(every, (phase, faults), search, state)?;

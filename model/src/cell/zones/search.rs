@@ -70,10 +70,10 @@ impl Search {
         for batches in 0_u64.. {
             let seconds = start.elapsed().as_secs_f64();
             if seconds > budget.seconds {
-                return Some(format!("out of time ({} s)", budget.seconds));
+                return Some(budget.out_of_time());
             }
             if batches.is_multiple_of(LOOK) && resident_bytes().is_some_and(|bytes| bytes > budget.bytes) {
-                return Some(format!("out of memory ({} MiB)", budget.bytes >> 20));
+                return Some(budget.out_of_memory());
             }
             let (states, open) = (self.store.states.len() as u64, self.store.open() as u64);
             progress.states(&SoFar { states, open, seconds, at_most_seconds: budget.seconds });

@@ -4,6 +4,7 @@ use crate::cell::run_state::canon::Left;
 use crate::zone::dbm::Dbm;
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
+use std::sync::Arc;
 
 /// How a part of a state's zone was reached: from which kept state, and with which answers to the run's comparisons of
 /// times.
@@ -49,8 +50,8 @@ pub struct Store {
     pub hulls: u64,
     pub states: Vec<State>,
     /// The controls by number.
-    pub controls: Vec<Box<[u8]>>,
-    numbers: HashMap<Box<[u8]>, u32>,
+    pub controls: Vec<Arc<[u8]>>,
+    numbers: HashMap<Arc<[u8]>, u32>,
     /// The known zones for each control without its remaining faults.
     known: HashMap<Box<[u8]>, Vec<Known>>,
     /// The states that are still to be expanded. Some entries are out of date: another state has taken over their times.
@@ -86,8 +87,8 @@ impl Store {
         }
         let number = u32::try_from(self.states.len()).unwrap_or(u32::MAX);
         let next = u32::try_from(self.controls.len()).unwrap_or(u32::MAX);
-        let control = *self.numbers.entry(control).or_insert_with_key(|control| {
-            self.controls.push(control.clone());
+        let control = *self.numbers.entry(control.into()).or_insert_with_key(|control| {
+            self.controls.push(Arc::clone(control));
             next
         });
         let (mut zone, mut origins) = (origin.zone.clone(), vec![origin]);

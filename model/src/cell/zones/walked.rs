@@ -5,7 +5,6 @@
 //! allowed: zones count how long ago the least time of an action has passed, and plain ticks do not. So a least time of
 //! zero on plain ticks is looked up as any least time that has passed.
 
-use super::concrete::at_every_tick;
 use super::runner::{QUIET, Runner};
 use super::search::{Search, core};
 use crate::Silent;
@@ -13,7 +12,6 @@ use crate::cell::guard::{Agreement, Disagreement};
 use crate::cell::outside::with_programs;
 use crate::cell::plan::{CellFaults, CellPlan, Times};
 use crate::cell::run_state::CellMove;
-use crate::cell::search::timed;
 use crate::cell::unpacked::Unpacked;
 use crate::cell::verdict::Phase;
 use crate::cell::waiting::for_ever;
@@ -31,7 +29,7 @@ pub fn compare_zones_with_walks(
     (walks, length): (u32, u32),
     draw: &mut dyn FnMut(usize) -> usize,
 ) -> Result<Agreement, Disagreement> {
-    let plan = timed(&with_programs(plan), Times::Zones);
+    let plan = with_programs(plan).timed(Times::Zones);
     let mut agreement = Agreement::default();
     let hypotheses = plan.faults.iter().filter(|faults| !faults.are_none());
     let phases = std::iter::once((Phase::FaultFree, CellFaults::default()));
@@ -47,7 +45,7 @@ pub fn compare_zones_with_walks(
         for _ in 0..walks {
             walk(
                 &search,
-                Unpacked::new(&at_every_tick(&plan), phase, &faults),
+                Unpacked::new(&plan.timed(Times::Every), phase, &faults),
                 length,
                 draw,
                 &mut agreement,
