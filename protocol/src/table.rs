@@ -102,11 +102,15 @@ impl CellTable {
             return Err(errors);
         }
         let mut ports_of = vec![Vec::new(); cell.tasks.len()];
+        let mut meetings_of = vec![0; cell.tasks.len()];
         for port in &mut ports {
             for party in &mut port.parties {
                 let own = &mut ports_of[party.task.index()];
                 party.place = u16::try_from(own.len()).unwrap_or(u16::MAX);
                 own.push(port.id);
+                let meetings = &mut meetings_of[party.task.index()];
+                party.meeting = *meetings;
+                *meetings += u16::from(port.decl.usage == Usage::Waitfor);
             }
         }
         let ports_of = ports_of.into_iter().map(Vec::into_boxed_slice).collect();
@@ -264,6 +268,8 @@ fn compile_port(cell: &Cell, id: PortId, decl: &PortDecl, routes: &[Option<Hop>]
         retry,
         rate,
         place: 0,
+        local: 0,
+        meeting: 0,
         peers: Box::default(),
     };
     let owner = party(decl.owner, decl.usage, decl.time_out, (retry, rate));
@@ -286,7 +292,7 @@ fn compile_port(cell: &Cell, id: PortId, decl: &PortDecl, routes: &[Option<Hop>]
         Usage::Waitfor => decl.margin.unwrap_or_else(closed_form),
         _ => Ticks::ZERO,
     };
-    Port { id, decl: decl.clone(), hash: digest::of_port(decl), parties, margin }
+    Port { id, decl: decl.clone(), hash: digest::of_port(decl), parties, node: None, margin }
 }
 
 /// The longest path bound between any two parties of a port.

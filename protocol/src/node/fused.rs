@@ -7,6 +7,7 @@ pub use gathering::{Gathering, Members};
 use super::{Node, NodeOutbox, Parts};
 use crate::ids::{PortId, TaskId};
 use crate::mapping;
+use crate::observe::Observation;
 use crate::request::{Request, Target};
 use crate::table::{Ends, NodeTable};
 use crate::task::{CommTask, Get, OfTask, Outbox};
@@ -115,7 +116,7 @@ impl Node {
     fn gather(&mut self, task: TaskId, request: &Request, out: &mut impl NodeOutbox) -> bool {
         let Parts { table, tasks, .. } = &mut self.parts;
         let Some(gathering) = Gathering::of(table, task, request) else { return false };
-        gathering.step(&mut Local { tasks, out })
+        gathering.step(&mut Local { tasks, out }).is_some()
     }
 }
 
@@ -130,5 +131,11 @@ impl<O: NodeOutbox> Members for Local<'_, O> {
         let task = &mut self.tasks[place];
         let effects = OfTask { task: task.task(), out: self.out };
         (task, effects)
+    }
+
+    fn hearing(&mut self, place: usize) -> (&mut CommTask, impl FnOnce(Observation)) {
+        let Self { tasks, out } = self;
+        let task = tasks[place].task();
+        (&mut tasks[place], move |observation| out.observe(Some(task), observation))
     }
 }

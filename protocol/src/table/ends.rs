@@ -43,7 +43,10 @@ impl CellTable {
         let peers: Vec<Box<[Peer]>> = (0..tasks.len()).map(peers).collect();
         for (party, peers) in port.parties.iter_mut().zip(peers) {
             party.peers = peers;
+            party.local = self.locations[party.task.index()].1;
         }
+        let first = self.location(port.decl.owner);
+        port.node = first.filter(|_| tasks.iter().all(|&task| self.location(task) == first));
     }
 
     /// The last node before that of `to` on the path from `from`; `None` if both tasks are on one node.
@@ -85,6 +88,8 @@ mod tests {
         .map(|decl| cell.port(decl));
         let table = CellTable::new(cell).unwrap();
         for port in ports.map(|id| table.port(id).unwrap()) {
+            assert_eq!(port.node, None, "its parties are on several nodes");
+            assert!(port.parties.iter().all(|party| usize::from(party.local) == party.task.index() / 6));
             for (own, other) in (0..12).flat_map(|a| (0..12).map(move |b| (TaskId(a), TaskId(b)))) {
                 let is_party = port.parties.iter().any(|party| party.task == own);
                 let recipient = port.peers(own).position(|peer| peer == other).filter(|_| is_party);

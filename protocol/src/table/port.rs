@@ -21,6 +21,10 @@ pub struct Party {
     /// The position of the port among those of the task, by which the communication task finds its state for the port
     /// without a search.
     pub place: u16,
+    /// The position of the task among those of its node, ascending by task.
+    pub(crate) local: u16,
+    /// For a `waitfor`: the position of the port among those of the task's waitfors.
+    pub(crate) meeting: u16,
     /// The other ends to which this end sends and from which it hears, ascending by task.
     pub(crate) peers: Box<[Peer]>,
 }
@@ -94,6 +98,8 @@ pub struct Port {
     pub decl: PortDecl,
     /// Owner first, then the users in the order of the `user_list`.
     pub parties: Box<[Party]>,
+    /// The node on which all parties run; `None` if they run on several nodes.
+    pub(crate) node: Option<NodeId>,
     /// The hash that the checksum of each of the port's packets covers first (D47).
     pub hash: u32,
     /// The safety margin of a `waitfor` (D2, D56); zero on other ports.

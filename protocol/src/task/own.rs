@@ -76,7 +76,7 @@ pub(crate) struct Own {
 impl Own {
     /// The shared state of a task at the start of an incarnation of its node.
     pub fn new(table: &NodeTable, task: TaskId, incarnation: Incarnation, restarted: bool) -> Self {
-        let (mut endpoints, [mut requests, mut inboxes, mut meetings]) = (Vec::new(), [0; 3]);
+        let (mut endpoints, [mut requests, mut inboxes]) = (Vec::new(), [0; 2]);
         for &id in table.ports_of(task) {
             let Some((port, party)) = table.port(id).and_then(|port| Some((port, port.party(task)?))) else {
                 continue;
@@ -94,7 +94,7 @@ impl Own {
                 Usage::Receive if port.decl.usage == Usage::Reply => Role::Hears,
                 Usage::Receive | Usage::Response => Role::Receives(next(&mut inboxes)),
                 Usage::Reply => Role::Replies,
-                Usage::Waitfor => Role::Meets(next(&mut meetings)),
+                Usage::Waitfor => Role::Meets(party.meeting),
             };
             endpoints.push(Endpoint::new(port, role));
         }

@@ -67,6 +67,13 @@ struct Member {
     told: Option<[u8; 8]>,
 }
 
+impl Member {
+    /// Whether the member waits in this round, as far as this task knows.
+    fn is_here(&self, round: Round, now: Instant) -> bool {
+        self.arrived.is_some_and(|arrived| arrived.round == round && arrived.expires > now)
+    }
+}
+
 /// One task's side of a rendezvous.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Rendezvous {
@@ -139,6 +146,12 @@ impl Rendezvous {
 
     /// Begins to wait: the task reaches the waitfor.
     fn reach(&mut self, at: &mut At<'_, '_, impl Outbox>, arguments: [u8; 8], patience: Ticks) {
+        self.begin(at, arguments, patience);
+        self.release_if_complete(at);
+    }
+
+    /// Begins to wait, even if all others have arrived.
+    fn begin(&mut self, at: &mut At<'_, '_, impl Outbox>, arguments: [u8; 8], patience: Ticks) {
         if self.numbered {
             // The task joins the round in which other members wait, if there is one (D54).
             let fresh = if at.step.table.rules().join_fresher { self.fresh } else { self.announced };
@@ -155,7 +168,6 @@ impl Rendezvous {
         at.counters().sent += 1;
         self.note(Event::Reached, at.step.own.task, patience, at);
         self.announce(at, false);
-        self.release_if_complete(at);
     }
 
     /// Ends the wait without a release, because the patience ended or the wait was cancelled. Returns the missing members as
@@ -215,8 +227,12 @@ impl Rendezvous {
         self.announced = round;
         self.released = self.released.filter(|released| !released.is_newer_than(round));
         for member in &mut self.members {
-            member.barred = member.barred.filter(|&b| b == round || b.is_newer_than(round));
-            member.arrived = member.arrived.filter(|arrived| arrived.expires > now);
+            if member.barred.is_some_and(|barred| barred != round && !barred.is_newer_than(round)) {
+                member.barred = None;
+            }
+            if member.arrived.is_some_and(|arrived| arrived.expires <= now) {
+                member.arrived = None;
+            }
         }
     }
 
@@ -236,17 +252,13 @@ impl Rendezvous {
         self.deadline.unwrap_or(now) - now
     }
 
-    fn is_here(&self, member: &Member, now: Instant) -> bool {
-        member.arrived.is_some_and(|a| a.round == self.announced && a.expires > now)
-    }
-
     /// The least remaining patience of the other members, if all of them have arrived.
     fn least_patience(&self, at: &At<'_, '_, impl Outbox>) -> Option<Ticks> {
         let mut least = Ticks::FAR;
         // The loop goes backwards: if members arrive in the order of the list, the last ones are missing longest.
         for (member, party) in self.members.iter().zip(&at.port.parties).rev() {
             if party.task != at.step.own.task {
-                let arrived = member.arrived.filter(|_| self.is_here(member, at.now()))?;
+                let arrived = member.arrived.filter(|_| member.is_here(self.announced, at.now()))?;
                 least = least.min(arrived.expires - at.now());
             }
         }

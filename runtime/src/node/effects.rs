@@ -65,6 +65,7 @@ impl Inside {
     }
 
     /// Whether there is input for a member.
+    #[inline]
     pub fn has_input_for(&self, to: Home) -> bool {
         !self.inputs.is_empty() && self.order.contains(&(to, What::Input))
     }

@@ -6,9 +6,9 @@
 
 use crate::cell::Usage;
 use crate::ids::TaskId;
-use crate::mapping;
+use crate::observe::Observation;
 use crate::request::Request;
-use crate::table::{NodeTable, Port};
+use crate::table::{NodeTable, Party, Port};
 use crate::task::{CommTask, Outbox};
 use crate::ticks::Ticks;
 
@@ -18,8 +18,17 @@ pub trait Members {
     /// delivers no packet: all are for members that take part in the same step.
     fn at(&mut self, place: usize) -> (&mut CommTask, impl Outbox);
 
+    /// As [`at`](Self::at), for a part of the step that only observes.
+    fn hearing(&mut self, place: usize) -> (&mut CommTask, impl FnOnce(Observation));
+
     /// Whether the step may release the members. Then it leaves out the CONFIRMs that they would take as inputs.
     fn may_release(&self) -> bool {
+        true
+    }
+
+    /// Whether the task at this position may take its part in the step: its clock then shows the time of the arriving task, and
+    /// it has taken all that was sent to it before.
+    fn takes_part(&mut self, _place: usize) -> bool {
         true
     }
 }
@@ -40,42 +49,50 @@ impl<'a> Gathering<'a> {
     #[must_use]
     pub fn of(table: &'a NodeTable, task: TaskId, request: &Request) -> Option<Self> {
         let Request::Arrive { port, arguments, time_out } = *request else { return None };
-        let (port, own) = mapping::own_end(table, port, task).ok().filter(|_| table.is_decided())?;
-        let is_whole = port.decl.usage == Usage::Waitfor
-            && port.parties.iter().all(|party| table.place(party.task).is_some());
+        let port = table.port(port).filter(|_| table.is_decided())?;
+        let is_whole = port.decl.usage == Usage::Waitfor && port.node == Some(table.node);
         let from = port.party_index(task).filter(|_| is_whole)?;
-        Some(Self { table, port, from, arguments, patience: own.time_out_of(time_out) })
+        let patience = port.parties[from].time_out_of(time_out);
+        Some(Self { table, port, from, arguments, patience })
     }
 
     /// The positions of the other members among the node's tasks.
     pub fn others(&self) -> impl Iterator<Item = usize> + use<'a> {
-        let Self { table, port, from, .. } = *self;
-        let others = port.parties.iter().enumerate().filter(move |&(member, _)| member != from);
-        others.filter_map(|(_, party)| table.place(party.task))
+        let Self { port, from, .. } = *self;
+        others(port, from).map(|(_, party)| party.local.into())
     }
 
-    /// Takes the step. The clocks of all members must show the same time, and the other members must have taken all that
-    /// was sent to them before. Returns false, and changes nothing, if the arrival needs small steps.
-    pub fn step(&self, members: &mut impl Members) -> bool {
+    /// Takes the step. Returns whether it released the members. `None`, and nothing has changed, if the arrival needs small steps.
+    pub fn step(&self, members: &mut impl Members) -> Option<bool> {
         let Self { table, port, from, arguments, patience } = *self;
-        let at = |member: usize| table.place(port.parties[member].task).unwrap_or_default();
-        let (own, _) = members.at(at(from));
-        let Some(arrival) = own.may_reach((port, from), arguments, patience) else { return false };
+        let own = usize::from(port.parties[from].local);
+        let arrival = members.at(own).0.may_reach((port, from), arguments, patience)?;
         if arrival.releases() && !members.may_release() {
-            return false;
+            return None;
         }
-        let others = || (0..port.parties.len()).filter(|&member| member != from);
-        if !others().all(|member| members.at(at(member)).0.may_hear((port, member), &arrival)) {
-            return false;
+        for (member, party) in others(port, from) {
+            let place = party.local.into();
+            if !(members.takes_part(place) && members.at(place).0.may_hear((port, party, member), &arrival)) {
+                return None;
+            }
         }
         {
-            let (own, mut out) = members.at(at(from));
+            let (own, mut out) = members.at(own);
             own.reach_fused(table, (port, from), &arrival, &mut out);
         }
-        for member in others() {
-            let (other, mut out) = members.at(at(member));
-            other.hear_fused(table, (port, member), &arrival, &mut out);
+        for (member, party) in others(port, from) {
+            let (other, observe) = members.hearing(party.local.into());
+            other.hear_fused(party, &arrival, observe);
+            if arrival.releases() {
+                let (other, mut out) = members.at(party.local.into());
+                other.release_fused(table, (port, member), &mut out);
+            }
         }
-        true
+        Some(arrival.releases())
     }
+}
+
+/// The members except `from`, each with its position.
+fn others(port: &Port, from: usize) -> impl Iterator<Item = (usize, &Party)> {
+    port.parties.iter().enumerate().filter(move |&(member, _)| member != from)
 }

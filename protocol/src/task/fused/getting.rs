@@ -74,6 +74,8 @@ pub(crate) struct OfTask<'a, O> {
 }
 
 impl<O: NodeOutbox> Outbox for OfTask<'_, O> {
+    const TRANSMITS: bool = false;
+
     fn transmit(&mut self, _: Packet) {}
 
     #[inline(always)]

@@ -1,7 +1,9 @@
 //! A rendezvous in a fused arrival: all members are on one node, and hear of the arrival at once (D193).
 
 use super::{Arrived, At, Meetings, Rendezvous};
-use crate::ids::{Incarnation, Round};
+use crate::ids::{Incarnation, Round, TaskId};
+use crate::observe::Observation;
+use crate::request::ReleasedBy;
 use crate::table::Port;
 use crate::task::own::Own;
 use crate::task::step::{Outbox, Step};
@@ -11,20 +13,21 @@ use crate::ticks::{Instant, Ticks};
 /// What the other members hear once a task reaches the waitfor.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Arrival {
-    /// The position of the arriving task among the members.
+    /// The arriving task, and its position among the members.
+    task: TaskId,
     from: usize,
     incarnation: Incarnation,
     round: Round,
     patience: Ticks,
     arguments: [u8; 8],
-    /// Whether the arriving task is the last member: then every member is released.
-    is_last: bool,
+    /// A member that has not arrived; `None` if the arriving task is the last one. Then every member is released.
+    missing: Option<usize>,
 }
 
 impl Arrival {
     /// Whether every member is released.
     pub const fn releases(&self) -> bool {
-        self.is_last
+        self.missing.is_none()
     }
 }
 
@@ -37,15 +40,16 @@ impl Rendezvous {
         (port, from): (&Port, usize),
         (arguments, patience): ([u8; 8], Ticks),
     ) -> Option<Arrival> {
-        let (incarnation, round) = (own.incarnation, self.announced.next().fresher(self.fresh));
-        let mut arrival = Arrival { from, incarnation, round, patience, arguments, is_last: false };
-        arrival.is_last =
-            self.completes(own.now, (port, from), &Arrival { patience: Ticks::FAR, ..arrival })?;
-        Some(arrival)
+        let Own { task, incarnation, .. } = *own;
+        let round = self.announced.next().fresher(self.fresh);
+        let arrival = Arrival { task, from, incarnation, round, patience, arguments, missing: None };
+        let missing = self.missing(own.now, (port, from), &Arrival { patience: Ticks::FAR, ..arrival })?;
+        Some(Arrival { missing, ..arrival })
     }
 
     /// Whether the member at this position can hear of the arrival in a fused step: the arriving task's first arrival in
     /// its round, after which either all members are released or none.
+    #[inline(always)]
     pub fn may_hear(&self, own: &Own, (port, member): (&Port, usize), arrival: &Arrival) -> bool {
         let Arrival { round, incarnation, .. } = *arrival;
         let other = &self.members[arrival.from];
@@ -56,45 +60,55 @@ impl Rendezvous {
         if self.deadline.is_none() {
             return is_new && round.is_newer_than(self.announced);
         }
+        let also_lacks =
+            |&missing: &usize| missing != member && !self.members[missing].is_here(round, own.now);
+        // Nearly always the member that the arriving task lacks is missing here, too. Then the others are not looked at.
         is_new
             && round == self.announced
-            && self.completes(own.now, (port, member), arrival) == Some(arrival.is_last)
+            && (arrival.missing.as_ref().is_some_and(also_lacks)
+                || self.missing(own.now, (port, member), arrival).map(|missing| missing.is_none())
+                    == Some(arrival.releases()))
     }
 
-    /// Whether all members have arrived, besides this member and the one that arrives now. `None` if they have, but one of
+    /// A member that has not arrived, besides this member and the one that arrives now. `None` if all have arrived, but one of
     /// their arrivals is within the margin, or of another incarnation.
-    fn completes(&self, now: Instant, (port, member): (&Port, usize), arrival: &Arrival) -> Option<bool> {
-        let (mut least, mut is_known) = (arrival.patience, true);
+    #[inline(never)]
+    fn missing(
+        &self,
+        now: Instant,
+        (port, member): (&Port, usize),
+        arrival: &Arrival,
+    ) -> Option<Option<usize>> {
+        let (mut first, mut is_known) = (now + arrival.patience, true);
         // The loop goes backwards: if members arrive in the order of the list, the last ones are missing longest.
-        for (i, other) in self.members.iter().enumerate().rev() {
-            if i == member || i == arrival.from {
-                continue;
-            }
-            let here = other.arrived.filter(|a| a.round == arrival.round && a.expires > now);
-            let Some(here) = here else { return Some(false) };
-            least = least.min(here.expires - now);
+        for i in (0..self.members.len()).rev().filter(|&i| i != member && i != arrival.from) {
+            let other = &self.members[i];
+            let Some(Arrived { expires, .. }) = other.arrived.filter(|_| other.is_here(arrival.round, now))
+            else {
+                return Some(Some(i));
+            };
+            first = first.min(expires);
             is_known &= other.incarnation == Some(arrival.incarnation);
         }
-        (is_known && least > port.margin).then_some(true)
+        (is_known && first - now > port.margin).then_some(None)
     }
 
-    /// Stores an arrival. If it is the last one, releases this member.
-    fn hear_at_once(&mut self, at: &mut At<'_, '_, impl Outbox>, own: usize, arrival: &Arrival) {
-        let Arrival { from, incarnation, round, patience, arguments, is_last } = *arrival;
-        self.members[from].incarnation = Some(incarnation);
+    /// Stores an arrival that [`may_hear`](Self::may_hear) allows: the arriving task's first one in its round.
+    #[inline(always)]
+    pub fn hear_fused(&mut self, now: Instant, arrival: &Arrival, observe: impl FnOnce(Observation)) {
+        let Arrival { task, from, incarnation, round, patience, arguments, .. } = *arrival;
+        let arrived = Arrived { round, expires: now + patience, arguments };
+        let member = &mut self.members[from];
+        (member.incarnation, member.arrived) = (Some(incarnation), Some(arrived));
         self.hear_of(round);
-        self.record(at, from, Arrived { round, expires: at.now() + patience, arguments });
-        if is_last {
-            self.release_if_complete(at);
-            self.note_confirms(own);
-        }
+        observe(self.arrival(now, task, &arrived));
     }
 
-    /// Notes the CONFIRMs of all other members, each of which was released in the same step.
-    fn note_confirms(&mut self, own: usize) {
-        for (i, member) in self.members.iter_mut().enumerate() {
-            member.confirmed |= i != own;
-        }
+    /// Releases this member together with all others, whose CONFIRMs it notes.
+    fn release_with_all(&mut self, at: &mut At<'_, '_, impl Outbox>, own: usize) {
+        self.release(at, ReleasedBy::AllArrived);
+        self.members.iter_mut().for_each(|member| member.confirmed = true);
+        self.members[own].confirmed = false;
     }
 }
 
@@ -107,21 +121,21 @@ impl Meetings {
         (own, arrival): (usize, &Arrival),
     ) -> Option<Ended> {
         self.run_at(step, at, |rendezvous, at| {
-            rendezvous.reach(at, arrival.arguments, arrival.patience);
-            if arrival.is_last {
-                rendezvous.note_confirms(own);
+            rendezvous.begin(at, arrival.arguments, arrival.patience);
+            if arrival.releases() {
+                rendezvous.release_with_all(at, own);
             }
         })
         .1
     }
 
-    /// [`hear`](Self::hear) of an arrival in a fused step that [`may_hear`](Rendezvous::may_hear) allows.
-    pub fn hear_fused<'a, O: Outbox>(
+    /// Releases the member at the position `own`, which has heard of the last arrival, together with all others.
+    pub fn release_fused<'a, O: Outbox>(
         &mut self,
         step: &mut Step<'a, O>,
         at: (&'a Port, usize, u16),
-        (own, arrival): (usize, &Arrival),
+        own: usize,
     ) -> Option<Ended> {
-        self.run_at(step, at, |rendezvous, at| rendezvous.hear_at_once(at, own, arrival)).1
+        self.run_at(step, at, |rendezvous, at| rendezvous.release_with_all(at, own)).1
     }
 }

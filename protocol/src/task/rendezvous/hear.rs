@@ -1,14 +1,14 @@
 //! Reception of ARRIVE, CONFIRM and ABORT from the other members.
 
 use super::{Arrived, At, Rendezvous};
-use crate::ids::Round;
+use crate::ids::{Round, TaskId};
 use crate::observe::{Event, Observation, Reason};
 use crate::packet::{Kind, Meeting, Packet};
 use crate::request::ReleasedBy;
 use crate::rules::Confirmation;
 use crate::table::Peer;
 use crate::task::step::Outbox;
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 
 impl Rendezvous {
     /// Takes a packet of another member.
@@ -143,18 +143,20 @@ impl Rendezvous {
         let expires = again.map_or(arrived.expires, |held| held.expires.max(arrived.expires));
         member.arrived = Some(Arrived { expires, ..arrived });
         if again.is_none() {
-            let (task, left) = (at.port.parties[from].task, arrived.expires - at.now());
-            at.step.out.observe(Observation {
-                event: Event::PartnerArrived,
-                port: self.port,
-                peer: task,
-                number: u32::from(arrived.round.0),
-                remaining: left,
-            });
+            let observation = self.arrival(at.now(), at.port.parties[from].task, &arrived);
+            at.step.out.observe(observation);
         } else {
             at.counters().duplicates += 1;
         }
         true
+    }
+
+    /// What this task observes when a member has arrived.
+    #[inline]
+    pub(super) fn arrival(&self, now: Instant, peer: TaskId, arrived: &Arrived) -> Observation {
+        let Arrived { round, expires, .. } = *arrived;
+        let (event, port, number) = (Event::PartnerArrived, self.port, u32::from(round.0));
+        Observation { event, port, peer, number, remaining: expires - now }
     }
 
     /// Answers a late arrival: by CONFIRM if this task was last released from the arrival's round, and by ABORT otherwise

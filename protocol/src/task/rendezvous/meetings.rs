@@ -122,6 +122,11 @@ impl Meetings {
         &self.list[usize::from(meeting)]
     }
 
+    /// As [`at`](Self::at), for a change that moves no instant at which the rendezvous acts.
+    pub fn at_mut(&mut self, meeting: u16) -> &mut Rendezvous {
+        &mut self.list[usize::from(meeting)]
+    }
+
     /// All rendezvous as a monitor sees them.
     pub fn view(&self, table: &NodeTable, own: &Own) -> impl Iterator<Item = MeetingView> {
         self.list.iter().filter_map(|rendezvous| Some(rendezvous.view(own, table.port(rendezvous.port)?)))

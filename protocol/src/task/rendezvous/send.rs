@@ -23,8 +23,11 @@ impl Rendezvous {
         self.confirm(at, round, false);
     }
 
-    pub(super) fn confirm(&mut self, at: &mut At<'_, '_, impl Outbox>, round: Round, resent: bool) {
+    pub(super) fn confirm<O: Outbox>(&mut self, at: &mut At<'_, '_, O>, round: Round, resent: bool) {
         self.note(Event::Confirmed, at.step.own.task, Ticks::ZERO, at);
+        if !O::TRANSMITS {
+            return;
+        }
         for i in 0..self.members.len() {
             // A member that has restarted since the release was not in this meeting.
             if !self.members[i].reborn {
@@ -35,12 +38,15 @@ impl Rendezvous {
     }
 
     /// Sends ARRIVE to every other member: separately addressed packets, no broadcast (§4.3, R19).
-    pub(super) fn announce(&mut self, at: &mut At<'_, '_, impl Outbox>, resent: bool) {
+    pub(super) fn announce<O: Outbox>(&mut self, at: &mut At<'_, '_, O>, resent: bool) {
         let now = at.now();
         let Some(deadline) = self.deadline else { return };
         // The instant of the next ARRIVE counts back from the deadline, so that the last copies leave at fixed distances
         // from the deadline (D55).
         self.resend_at = Self::resend_instant(deadline, now, at.port.decl.resend);
+        if !O::TRANSMITS {
+            return;
+        }
         let round = self.announced;
         let meeting = Meeting { round, released: self.released.unwrap_or(round), arguments: self.arguments };
         let packet = self.packet(at, Kind::Arrive, meeting);

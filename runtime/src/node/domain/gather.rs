@@ -24,30 +24,20 @@ impl Turn<'_> {
         effects: &mut Effects,
     ) -> bool {
         let Some(gathering) = Gathering::of(self.table, self.machine().task(), request) else { return false };
-        let (home, now, homes) = (self.home, self.now(), self.homes);
         if !self.is_usual() {
             return false;
         }
-        for place in gathering.others() {
-            let there = homes.at(place);
-            // A packet that one of the members has not taken yet must come first.
-            if there.domain() != home.domain() || effects.inside.has_input_for(there) {
-                return false;
-            }
-            if !self.members[there.member()].takes_part::<RECORDS>(now) {
-                return false;
-            }
-        }
-        let (own, members) = (home.place(), &mut *self.members);
-        let mut gathered =
-            Gathered::<_, RECORDS> { at: now, own, members, homes, signals, effects, packet: None };
-        if !gathering.step(&mut gathered) {
-            return false;
-        }
+        let (own, at, homes) = (self.home, self.now(), self.homes);
+        let members = &mut *self.members;
+        let mut gathered = Gathered::<_, RECORDS> { at, own, members, homes, signals, effects, packet: None };
+        let Some(released) = gathering.step(&mut gathered) else { return false };
         if RECORDS {
             gathered.record(request, gathering.others());
         }
-        gathering.others().for_each(|place| self.change(homes.at(place).member()));
+        // Only a release changes when another member next acts.
+        if released {
+            gathering.others().for_each(|place| self.change(homes.at(place).member()));
+        }
         true
     }
 }
@@ -55,8 +45,8 @@ impl Turn<'_> {
 /// The members of a domain during a fused arrival.
 struct Gathered<'a, S, const RECORDS: bool> {
     at: Micros,
-    /// The place, on the node, of the task that arrives.
-    own: usize,
+    /// The home of the task that arrives.
+    own: Home,
     members: &'a mut [Comm],
     homes: &'a Homes,
     signals: &'a mut S,
@@ -68,7 +58,7 @@ struct Gathered<'a, S, const RECORDS: bool> {
 impl<S, const RECORDS: bool> Gathered<'_, S, RECORDS> {
     /// Records the parts of all members that are recorded.
     fn record(self, request: &Request, others: impl Iterator<Item = usize>) {
-        if let Some(own) = &mut self.members[self.homes.at(self.own).member()].logged {
+        if let Some(own) = &mut self.members[self.own.member()].logged {
             own.part(Input::Request(*request), own.digest);
         }
         let Some(packet) = self.packet else { return };
@@ -88,10 +78,24 @@ impl<S: FusedSignals, const RECORDS: bool> Members for Gathered<'_, S, RECORDS> 
         !RECORDS
     }
 
+    fn hearing(&mut self, place: usize) -> (&mut CommTask, impl FnOnce(Observation)) {
+        let Comm { machine, ring, .. } = &mut self.members[self.homes.at(place).member()];
+        let at = self.at;
+        (machine, move |observation| ring.push(at, observation))
+    }
+
+    fn takes_part(&mut self, place: usize) -> bool {
+        let there = self.homes.at(place);
+        // A packet that the member has not taken yet must come first.
+        there.domain() == self.own.domain()
+            && !self.effects.inside.has_input_for(there)
+            && self.members[there.member()].takes_part::<RECORDS>(self.at)
+    }
+
     fn at(&mut self, place: usize) -> (&mut CommTask, impl Outbox) {
         let home = self.homes.at(place);
         let Comm { machine, ring, runner, logged, .. } = &mut self.members[home.member()];
-        let is_own = place == self.own;
+        let is_own = home == self.own;
         let (signals, effects) = (&mut *self.signals, &mut *self.effects);
         let parts = RECORDS.then_some((logged.as_mut(), &mut self.packet));
         (machine, Gathers::<_, RECORDS> { at: self.at, home, is_own, ring, runner, parts, signals, effects })
@@ -113,6 +117,8 @@ struct Gathers<'a, S, const RECORDS: bool> {
 }
 
 impl<S: FusedSignals, const RECORDS: bool> Outbox for Gathers<'_, S, RECORDS> {
+    const TRANSMITS: bool = RECORDS;
+
     #[inline(always)]
     fn transmit(&mut self, packet: Packet) {
         if RECORDS && let Some((logged, last)) = &mut self.parts {
