@@ -9,6 +9,8 @@ mod run;
 mod simulate;
 mod unit;
 mod verify;
+#[cfg(feature = "zenoh")]
+mod zenoh;
 
 pub use bench::BenchArgs;
 pub use cell::{CheckArgs, ExplainArgs, FmtArgs, GraphArgs, Picture};
@@ -19,6 +21,8 @@ pub use run::{DemoArgs, LaunchArgs, ReplayArgs, RunArgs};
 pub use simulate::{STEPS, SimulateArgs};
 pub use unit::UnitArgs;
 pub use verify::{CellFaultArgs, Times, VerifyArgs, VerifyVerb};
+#[cfg(feature = "zenoh")]
+pub use zenoh::ZenohArgs;
 
 use crate::output::Color;
 use clap::{ColorChoice, Parser, Subcommand, ValueEnum};
@@ -283,6 +287,17 @@ Examples:
   imrs bench threads network --rounds 15     hand-overs between threads and nodes
   imrs bench --format json > ratios.json; imrs bench --list")]
     Bench(BenchArgs),
+    /// Carry the datagrams of a node over zenoh, to machines that one network does not reach.
+    ///
+    /// The cell declares each node at a port of 127.0.0.1. On each machine the node takes its own port, and this gateway
+    /// those of its neighbours. The nodes' keys protect the datagrams from one node to the other: the gateway has no
+    /// keys. Zenoh may drop or delay a datagram; a late one is dropped by its receiver.
+    #[cfg(feature = "zenoh")]
+    #[command(after_help = "\
+Examples:
+  imrs zenoh cell.cell --node arm
+  imrs zenoh cell.cell --node arm --config zenoh.json5")]
+    Zenoh(ZenohArgs),
     /// Print a shell's completion script.
     #[command(
         after_help = "Example:\n  imrs completions bash > ~/.local/share/bash-completion/completions/imrs"

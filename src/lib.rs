@@ -33,6 +33,8 @@ mod time;
 mod token;
 mod unit;
 mod verify;
+#[cfg(feature = "zenoh")]
+mod zenoh;
 
 pub use imrs_client::{
     Call, Context, PlaceError, Program, ProgramError, Rendezvous, Sent, TaskEnd, TaskError,
@@ -146,6 +148,8 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
         Verb::Replay(args) => replay::run(&args, &mut out),
         Verb::Export(args) => export::run(&args, &mut out),
         Verb::Bench(args) => bench::run(&args, &mut out),
+        #[cfg(feature = "zenoh")]
+        Verb::Zenoh(args) => zenoh::run(&args, &mut out),
         Verb::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "imrs", &mut script);

@@ -87,10 +87,11 @@ fn heavy_libraries_stay_in_their_rooms() {
             ("crossterm", "imrs-monitor"),
             ("clap", "imrs"),
             ("indicatif", "imrs"),
+            ("zenoh", "imrs"),
         ] {
             let uses = normal.contains(library) || dev.contains(library);
-            // The measurements have a command line of their own, so they may use `clap`.
-            let measures = package == "imrs-bench" && library == "clap";
+            // The measurements have a command line of their own, and compare with zenoh.
+            let measures = package == "imrs-bench" && ["clap", "zenoh"].contains(&library);
             assert!(!uses || package == room || measures, "{library} in {package}: it belongs in {room}");
         }
         for explorer in ["loom", "shuttle"] {
@@ -168,6 +169,7 @@ fn the_command_is_built_without_what_it_is_measured_against() {
     assert!(!default.contains(&"imrs-bench".to_owned()), "the default build contains the measurements");
     for name in default.iter().chain(&tree_of("imrs", "bench", "imrs-bench")) {
         assert!(!peers.contains(&name.as_str()), "the command brings {name} along");
+        assert!(!name.starts_with("zenoh"), "the feature `zenoh` alone may bring {name} along");
     }
 }
 

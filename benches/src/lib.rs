@@ -8,6 +8,7 @@
 pub mod cases;
 mod command;
 pub mod cores;
+pub mod duel;
 pub mod harness;
 pub mod judge;
 pub mod machine;

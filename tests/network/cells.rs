@@ -1,6 +1,7 @@
 //! The cells that run on the hosts. They are slow, so that a busy machine by itself causes few time_outs.
 
 use super::hosts::Hosts;
+use std::net::Ipv4Addr;
 
 /// The UDP port of each node.
 pub const PORT: u16 = 7_000;
@@ -74,8 +75,19 @@ pub fn talk() -> String {
 
 /// Writes the addresses of the hosts into a cell.
 pub fn placed(text: &str) -> String {
-    let placed = (0..3).fold(text.to_owned(), |text, host| {
-        text.replace(&format!("HOST{}", host + 1), &Hosts::address(host).to_string())
-    });
-    placed.replace("port PORT", &format!("port {PORT}"))
+    at(text, |host| (Hosts::address(host), PORT))
+}
+
+/// The cell of three tasks, with all nodes on the loopback, each at a port of its own.
+#[cfg(feature = "zenoh")]
+pub fn talk_on_loopback() -> String {
+    at(TALK, |host| (Ipv4Addr::LOCALHOST, PORT + u16::try_from(host).expect("a few hosts")))
+}
+
+/// Writes the address of each node into a cell.
+fn at(text: &str, address: impl Fn(usize) -> (Ipv4Addr, u16)) -> String {
+    (0..3).fold(text.to_owned(), |text, host| {
+        let (ip, port) = address(host);
+        text.replace(&format!("\"HOST{}\" port PORT", host + 1), &format!("\"{ip}\" port {port}"))
+    })
 }

@@ -14,6 +14,8 @@ mod scenes;
 mod starts;
 mod switch;
 mod trial;
+#[cfg(feature = "zenoh")]
+mod zenoh;
 
 use crate::support::{bound, wait_until};
 use hosts::{Hosts, are_possible};

@@ -78,12 +78,17 @@ pub struct Ended {
 impl Net {
     /// Makes hosts for the nodes of a cell, and keys for the nodes. Starts no node.
     pub fn new(text: &str, names: &'static [&'static str], seed: u64) -> Self {
+        Self::on(Hosts::new(names.len(), seed), text, names)
+    }
+
+    /// Makes keys for the nodes of a cell. There may be more hosts than nodes.
+    pub fn on(hosts: Hosts, text: &str, names: &'static [&'static str]) -> Self {
         let dir = runtime_dir();
         let cell = dir.path().join("own.cell");
         std::fs::write(&cell, text).expect("the cell is written");
         let net = Self {
             nodes: Vec::new(),
-            hosts: Hosts::new(names.len(), seed),
+            hosts,
             cell,
             names,
             starts: vec![0; names.len()],

@@ -6,7 +6,7 @@ mod svg;
 mod text;
 
 pub use json::json;
-pub use page::{PageError, renew};
+pub use page::{PageError, renew, renew_page};
 pub use svg::plot;
 pub use text::{cases, rows};
 

@@ -1,4 +1,5 @@
-//! Writes the table in `specs/performance.md`, between two marks. Do not edit that part by hand.
+//! Writes the tables in `specs/performance.md` and `specs/duel.md`, each between two marks. Do not edit these parts by
+//! hand.
 
 use super::{place, ratio, unit, verdict};
 use crate::cases::floors::LINE;
@@ -33,9 +34,17 @@ pub enum PageError {
 /// # Errors
 /// [`PageError`].
 pub fn renew(path: &Path, facts: &Facts, rounds: u32, slack: f64, all: &[Results]) -> Result<(), PageError> {
+    renew_page(path, &table(facts, rounds, slack, all))
+}
+
+/// Replaces the text between the marks of a page.
+///
+/// # Errors
+/// [`PageError`].
+pub fn renew_page(path: &Path, text: &str) -> Result<(), PageError> {
     let failed = |source| PageError::File { path: path.into(), source };
     let page = std::fs::read_to_string(path).map_err(failed)?;
-    let renewed = between(&page, &table(facts, rounds, slack, all));
+    let renewed = between(&page, text);
     let renewed = renewed.ok_or_else(|| PageError::NoMarks(path.into()))?;
     std::fs::write(path, renewed).map_err(failed)
 }
