@@ -25,6 +25,7 @@ impl App {
             Action::Quit => return Effect::Quit,
             Action::Suspend => return Effect::Suspend,
             Action::Show(screen) => self.show(screen),
+            Action::MoreOfStep => return self.turn_panel(),
             Action::Record => return if self.replay.is_some() { Effect::Nothing } else { Effect::Record },
             Action::StepBack | Action::StepOn | Action::PreviousAnomaly | Action::NextAnomaly => {
                 return Effect::Nothing;
