@@ -51,7 +51,7 @@ fn a_node_in_trouble_leaves_the_row_of_the_healthy_ones_and_comes_back() {
     assert_eq!(count(&stage, ms(9_250)), 10);
 }
 
-/// A node with a task that waits in vain for another node is not one of the healthy nodes.
+/// A node whose task waits for a dead node is not one of the healthy nodes.
 #[test]
 fn a_node_whose_task_is_held_is_not_counted_as_healthy() {
     let mut stage = Stage::crowd_at_work(Theme::ASCII);

@@ -39,7 +39,7 @@ impl App {
         let mut loud = Vec::new();
         for blocker in self.blockers(now) {
             loud.push(blocker.place);
-            // A node with a task that waits in vain is not healthy either.
+            // A node whose task a block holds is not healthy either.
             let held = blocker.by.iter().filter(|_| blocker.is_alarming());
             let nodes = held.filter_map(|task| self.incarnation_of_task(*task));
             loud.extend(nodes.map(|node| Place { node: Ok(node.id), task: None, port: None }));

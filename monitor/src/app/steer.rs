@@ -35,10 +35,7 @@ impl App {
             Action::Command => self.open_entry(Kind::Command),
             Action::Mark => self.set_mark(now),
             Action::Difference => self.since_mark = self.mark.is_some() && !self.since_mark,
-            Action::Cycles => {
-                self.only_cycles = !self.only_cycles;
-                self.scroll = 0;
-            }
+            Action::Cycles => (self.only_cycles, self.scroll) = (!self.only_cycles, 0),
             Action::Closer | Action::Wider => self.zoom(action == Action::Closer),
             Action::NextMatch | Action::PreviousMatch => {
                 self.jump_to_match(action == Action::NextMatch, now);
