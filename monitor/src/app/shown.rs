@@ -40,7 +40,7 @@ impl App {
         for blocker in self.blockers(now) {
             loud.push(blocker.place);
             // A node whose task a block holds is not healthy either.
-            let held = blocker.by.iter().filter(|_| blocker.is_alarming());
+            let held = blocker.held().iter().filter(|_| blocker.is_alarming());
             let nodes = held.filter_map(|task| self.incarnation_of_task(*task));
             loud.extend(nodes.map(|node| Place { node: Ok(node.id), task: None, port: None }));
         }
