@@ -53,9 +53,9 @@ fn clicks_hit_what_is_drawn_beside_a_finding() {
     let mut pages = 1;
     loop {
         if pages % 2 == 0 {
-            stage.keys(ms(0), "p")
+            stage.keys(ms(0), "p");
         } else {
-            click(&mut stage, panel)
+            click(&mut stage, panel);
         }
         let next = told(&text(&stage.draw(ms(0), 80, 15)));
         if next == seen[..1] {
