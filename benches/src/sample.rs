@@ -83,7 +83,17 @@ pub fn laps(times: u32, group: u32, operation: &mut impl FnMut()) -> Vec<u64> {
 /// The processor time of this thread, in nanoseconds.
 #[must_use]
 pub fn worked() -> u64 {
-    let now = clock_gettime(ClockId::ThreadCPUTime);
+    nanos_by(ClockId::ThreadCPUTime)
+}
+
+/// The time since some instant in the past, in nanoseconds.
+#[must_use]
+pub fn passed() -> u64 {
+    nanos_by(ClockId::Monotonic)
+}
+
+fn nanos_by(clock: ClockId) -> u64 {
+    let now = clock_gettime(clock);
     let nanos = i128::from(now.tv_sec) * 1_000_000_000 + i128::from(now.tv_nsec);
     u64::try_from(nanos).unwrap_or(0)
 }

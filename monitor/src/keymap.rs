@@ -62,6 +62,12 @@ impl Keymap {
         names.join(" ")
     }
 
+    /// The keys of an action that has one binding, in the form in which the help shows them.
+    #[must_use]
+    pub fn label_of(&self, action: Action) -> String {
+        BINDINGS.iter().find(|binding| binding.action == action).map_or_else(String::new, |b| self.label(b))
+    }
+
     /// The hints at keys for a screen, the help first: `? help`, `Enter open`, each with its action.
     pub fn hints(&self, screen: Screen) -> impl Iterator<Item = (String, Action)> + '_ {
         let help = [(Action::Show(Screen::Help), "help")];
@@ -122,6 +128,7 @@ const NAMES: &[(Action, &str)] = &[
     (Action::StepOn, "step_on"),
     (Action::PreviousAnomaly, "previous_anomaly"),
     (Action::NextAnomaly, "next_anomaly"),
+    (Action::MoreOfStep, "more_of_step"),
     (Action::Record, "record"),
     (Action::Write, "write"),
     (Action::Copy, "copy"),

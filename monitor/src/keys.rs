@@ -60,6 +60,8 @@ pub enum Action {
     PreviousAnomaly,
     /// Moves on to the next stop of the recording that has an anomaly.
     NextAnomaly,
+    /// Shows the next lines of the panel about a step of a recording.
+    MoreOfStep,
     /// Starts or ends a recording.
     Record,
     /// Writes the screen as text to a file.
@@ -241,6 +243,7 @@ pub const BINDINGS: &[Binding] = &[
     everywhere(&[key(']')], Action::StepOn, "in a recording, or while paused: one step on"),
     everywhere(&[key('{')], Action::PreviousAnomaly, "in a recording, or while paused: back to trouble"),
     everywhere(&[key('}')], Action::NextAnomaly, "in a recording, or while paused: on to trouble"),
+    everywhere(&[key('p')], Action::MoreOfStep, "in a recording of the checker: more of what a step did"),
     on(
         &[Screen::Overview, Screen::Events],
         &[key('n')],

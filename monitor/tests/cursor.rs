@@ -132,7 +132,9 @@ fn the_cursor_reaches_the_banner() {
         // Down leads back to the first row, and a step up again to the banner.
         let down = stage.typed(later, (80, 24), "j");
         assert!(!down.lines().nth(1).unwrap().starts_with('>'), "{screen:?}");
-        assert!(up.len() > 1 || down == first, "{screen:?}: {down}");
+        // The bottom line has the finding of the first row once the user has selected that row.
+        let list = |shown: &str| shown.lines().take(23).map(str::to_owned).collect::<Vec<_>>();
+        assert!(up.len() > 1 || list(&down) == list(&first), "{screen:?}: {down}");
         stage.typed(later, (80, 24), "kk");
         stage.key(later, KeyCode::Enter);
         let shown = text(&stage.draw(later, 80, 24));

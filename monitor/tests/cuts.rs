@@ -70,6 +70,17 @@ fn what_is_sent_and_does_not_arrive_is_a_cut_link() {
     stage.app.update(Msg::Mouse(MouseEvent { kind, column, row, modifiers: KeyModifiers::NONE }), now);
     let shown = stage.text(now, 120, 40);
     assert!(shown.lines().any(|line| line.starts_with("> - nr (pid")), "{shown}");
+    // So does Enter on its row of the problems, and `x` shows the page about its code.
+    let problems = stage.typed(now, (120, 40), "8g");
+    let row = problems.lines().find(|line| line.starts_with('>')).unwrap();
+    assert!(row.contains(" nr ") && row.contains("link from nl is cut") && row.contains("link-cut"), "{row}");
+    let page = stage.typed(now, (120, 40), "x");
+    assert!(page.lines().any(|line| line.starts_with(">link-cut: ")), "{page}");
+    for keys in ["\n", "8g\n"] {
+        let shown = stage.typed(now, (120, 40), keys);
+        assert!(shown.lines().any(|line| line.starts_with("> - nr (pid")), "{keys}: {shown}");
+        stage.typed(now, (120, 40), "g");
+    }
     // As soon as something arrives again, the link is well.
     run(&mut stage, 7_000, 7_200, |_, at| (3 * at / 1_000, 20));
     assert_eq!(cuts(stage.app.store(), &beam(), ms(8_200)).len(), 0);

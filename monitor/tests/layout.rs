@@ -118,6 +118,36 @@ fn a_member_that_cannot_arrive_says_why() {
     }
 }
 
+/// The health of a row that has no room for all of it is on the bottom line as soon as the user selects that row.
+#[test]
+fn the_bottom_line_has_the_whole_finding_of_the_selected_row() {
+    let mut stage = Stage::busy(Theme::ASCII);
+    stage.lose(ms(1_500), 2);
+    let now = ms(3_000);
+    let foot = |shown: &str| shown.lines().last().unwrap().to_owned();
+    // Before the user has selected a row, it has the worst finding.
+    assert!(foot(&stage.typed(now, (80, 24), "1")).starts_with(" !! nh: dead"));
+    let mut seen = 0;
+    for _ in 0..12 {
+        let shown = stage.typed(now, (80, 24), "j");
+        let row = shown.lines().find(|line| line.starts_with('>')).unwrap();
+        let Some((_, health)) = row.rsplit_once("! ").filter(|(_, text)| !text.contains("holds")) else {
+            continue;
+        };
+        let (health, foot) = (health.trim_end_matches(['#', '|']).trim(), foot(&shown));
+        if health.starts_with("held by") {
+            continue;
+        }
+        assert!(foot.contains(health), "{health}: {foot}");
+        seen += 1;
+    }
+    assert!(seen > 2, "{}", stage.text(now, 80, 24));
+    let problems = stage.typed(now, (80, 24), "8gj");
+    let row = problems.lines().find(|line| line.starts_with('>')).unwrap();
+    let text: String = row.chars().skip(25).take(30).collect();
+    assert!(foot(&problems).contains(text.trim()), "{text}: {problems}");
+}
+
 #[test]
 fn dead_incarnations_have_no_rows_until_asked_for_and_never_look_healthy() {
     let mut stage = Stage::cell(Theme::ASCII);

@@ -1,11 +1,13 @@
 //! Tests of what nodes report of their links: delays against the declared bounds, and faulty links.
 
-use crate::common::{BEAT, Stage, beam, codes, ms, snapshot};
+use crate::common::{BEAT, Stage, beam, codes, ms, observed, snapshot};
+use crossterm::event::{KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
+use imrs_monitor::app::Msg;
 use imrs_monitor::report;
 use imrs_monitor::store::health::{Place, findings};
 use imrs_monitor::theme::Theme;
-use imrs_protocol::NodeId;
-use imrs_wire::obs::{Delays, Integrity, LinkReport, LinkReports, LinkView, ServerFrame};
+use imrs_protocol::{Event, NodeId};
+use imrs_wire::obs::{Delays, Events, Integrity, LinkReport, LinkReports, LinkView, ServerFrame, TimedEvent};
 use serde_json::Value;
 
 /// The declared bound of the link between the arms' nodes, in microseconds.
@@ -120,6 +122,56 @@ fn a_faulty_link_is_a_finding_a_word_beside_the_link_and_one_line_of_the_journal
     assert_eq!(shown(&mut stage, 2_300).0, [""; 0], "it is well again");
     let lines = stage.app.store().journal().lines(false, "");
     assert_eq!(lines.iter().filter(|line| line.kind() == "link faulty").count(), 1);
+}
+
+fn selected(shown: &str) -> &str {
+    shown.lines().find(|line| line.starts_with('>')).expect("a selected row")
+}
+
+/// Enter on an event of a link leads to the node that reported it; so does a dropped datagram that is of no task.
+#[test]
+fn enter_on_an_event_of_a_link_leads_to_the_node_that_reported_it() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    let integrity = Integrity { failures: 12, is_faulty: true, faults: 1, unmatched: 0 };
+    reports(&mut stage, 2_000, delays(0, 0, 0), Integrity { failures: 12, ..Integrity::default() });
+    reports(&mut stage, 2_100, delays(0, 0, 0), integrity);
+    let shown = stage.typed(ms(2_200), (120, 40), "6/link faulty\n");
+    assert!(selected(&shown).contains(" nr ") && selected(&shown).contains("link faulty"), "{shown}");
+    let shown = stage.typed(ms(2_200), (120, 40), "\n");
+    assert!(selected(&shown).starts_with("> - nr (pid"), "{shown}");
+    let mut stage = Stage::cell(Theme::ASCII);
+    let what = observed(Event::RefusedByPeer, BEAT, 1, 3);
+    let dropped = TimedEvent { mono_us: 1_000, task: None, what };
+    stage.frame(ms(2_000), 2, ServerFrame::Events(Events { lost: 0, events: vec![dropped] }));
+    let shown = stage.typed(ms(2_200), (120, 40), "6");
+    assert!(selected(&shown).contains(" nh ") && selected(&shown).contains("refused"), "{shown}");
+    let shown = stage.typed(ms(2_200), (120, 40), "\n");
+    assert!(selected(&shown).starts_with("> - nh (pid"), "{shown}");
+}
+
+/// A link that is late, or faulty, leads to the node that receives too late, whichever end that is.
+#[test]
+fn a_click_on_a_link_leads_to_the_end_that_is_in_trouble() {
+    let bound = bound(&Stage::cell(Theme::ASCII));
+    let damaged = Integrity { failures: 12, is_faulty: true, faults: 1, unmatched: 0 };
+    let cases = [
+        (delays(500, 0, bound / 2), Integrity::default(), "nl"),
+        (delays(500, 6, 2 * bound), Integrity::default(), "nr"),
+        (delays(0, 0, 0), damaged, "nr"),
+    ];
+    for (recent, integrity, end) in cases {
+        let mut stage = Stage::cell(Theme::ASCII);
+        reports(&mut stage, 2_000, recent, integrity);
+        let shown = stage.typed(ms(2_000), (120, 40), "1");
+        let row = shown.lines().position(|line| line.contains(" links ")).expect("the links");
+        let column = shown.lines().nth(row).unwrap().find("nl-nr").unwrap() + 1;
+        let (column, row) = (u16::try_from(column).unwrap(), u16::try_from(row).unwrap());
+        let kind = MouseEventKind::Down(MouseButton::Left);
+        let click = MouseEvent { kind, column, row, modifiers: KeyModifiers::NONE };
+        stage.app.update(Msg::Mouse(click), ms(2_000));
+        let shown = stage.text(ms(2_000), 120, 40);
+        assert!(selected(&shown).starts_with(&format!("> - {end} (pid")), "{recent:?}: {shown}");
+    }
 }
 
 #[test]

@@ -51,6 +51,27 @@ fn a_node_in_trouble_leaves_the_row_of_the_healthy_ones_and_comes_back() {
     assert_eq!(count(&stage, ms(9_250)), 10);
 }
 
+/// A node whose task waits for a dead node is not one of the healthy nodes.
+#[test]
+fn a_node_whose_task_is_held_is_not_counted_as_healthy() {
+    let mut stage = Stage::crowd_at_work(Theme::ASCII);
+    let blockers = stage.app.blockers(CROWD_NOW);
+    let alarming: Vec<_> = blockers.iter().filter(|blocker| blocker.is_alarming()).collect();
+    let held: Vec<_> = alarming.iter().flat_map(|blocker| &blocker.by).collect();
+    assert_eq!(held.len(), 3, "{blockers:?}");
+    let healthy = stage.app.healthy(&stage.app.findings(CROWD_NOW), CROWD_NOW);
+    let shown = text(&stage.draw(CROWD_NOW, 120, 40));
+    for task in held {
+        let node = stage.app.incarnation_of_task(*task).expect("a node");
+        assert!(!healthy.contains(&node.id), "{shown}");
+        // Its closed row says so, too, unless a finding of the node says more.
+        let name = format!("+ {} ", node.node);
+        let row =
+            shown.lines().find(|line| line.contains(&name)).unwrap_or_else(|| panic!("{name}: {shown}"));
+        assert!(row.contains("held by task9@node3") || row.contains("!! lost task9@node3"), "{row}");
+    }
+}
+
 /// If the user sorts by an amount, or filters, each node has a row of its own, so that nodes can be compared.
 #[test]
 fn a_filter_and_an_order_by_amounts_show_each_node() {

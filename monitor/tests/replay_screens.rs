@@ -46,9 +46,30 @@ fn clicks_hit_what_is_drawn_beside_a_finding() {
     let shown = text(&stage.draw(ms(0), 80, 15));
     let name = rows[last - 1].split_whitespace().next().unwrap();
     assert!(shown.lines().nth(selected(&shown).unwrap()).unwrap().contains(name), "{name}: {shown}");
-    let panel = rows.iter().position(|row| row.contains("lines more")).unwrap();
-    click(&mut stage, panel);
-    assert_eq!(text(&stage.draw(ms(0), 80, 15)), shown);
+    // What has no room in the panel is a click or a key away, and after its last lines come the first ones again.
+    let panel = rows.iter().position(|row| row.contains("lines more: p")).unwrap();
+    let told = |shown: &str| shown.lines().skip(panel - 1).take(1).map(str::to_owned).collect::<Vec<_>>();
+    let mut seen = told(&shown);
+    let mut pages = 1;
+    loop {
+        if pages % 2 == 0 {
+            stage.keys(ms(0), "p");
+        } else {
+            click(&mut stage, panel);
+        }
+        let next = told(&text(&stage.draw(ms(0), 80, 15)));
+        if next == seen[..1] {
+            break;
+        }
+        seen.extend(next);
+        pages += 1;
+    }
+    let all = seen.join("\n");
+    for part in
+        ["step 0 of 40", "SEND #4 of armL leaves for nr", "in the end: waits in vain", "armL, line 31: waits"]
+    {
+        assert!(all.contains(part), "{pages} pages: {all}");
+    }
 }
 
 /// A click on the bar of a recording moves to that place, as during a pause.

@@ -252,8 +252,14 @@ fn press(event: &KeyEvent, screen: Screen, action: Action) {
     }
     assert_eq!(stage.app.screen, screen);
     let effect = stage.app.update(Msg::Key(*event), NOW);
-    let of_recordings =
-        matches!(action, Action::StepBack | Action::StepOn | Action::PreviousAnomaly | Action::NextAnomaly);
+    let of_recordings = matches!(
+        action,
+        Action::StepBack
+            | Action::StepOn
+            | Action::PreviousAnomaly
+            | Action::NextAnomaly
+            | Action::MoreOfStep
+    );
     assert_eq!(effect == Effect::Nothing, of_recordings, "{event:?} on {screen:?}");
 }
 

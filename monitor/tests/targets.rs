@@ -32,7 +32,6 @@ const INFORM: &[&str] = &[
     "SEND #4 of armL leaves for nr",
     "beam.cell:31:5",
     "waitfor lift();",
-    "... 2 lines more",
 ];
 
 /// The keys to every screen, with the window of the settings, and with a line that is being typed.

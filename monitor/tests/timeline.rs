@@ -1,11 +1,12 @@
 //! Tests of the timeline's rows: their times, and the lanes that have no room.
 
 use crate::common::crowd::CROWD_NOW;
-use crate::common::{BEAT, HALT, LIFT, Stage, at, events, left, ms, observed, snapshot};
+use crate::common::{BEAT, HALT, LIFT, Stage, at, beam, events, left, ms, observed, snapshot};
 use crossterm::event::{KeyCode, KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
 use imrs_monitor::app::Msg;
+use imrs_monitor::store::message::{MessageKey, incarnation_of};
 use imrs_monitor::theme::Theme;
-use imrs_protocol::Event;
+use imrs_protocol::{Event, TaskId};
 use imrs_wire::obs::{Pong, ServerFrame};
 use proptest::prelude::*;
 use std::time::Duration;
@@ -67,6 +68,32 @@ proptest! {
         let times = times(&stage.text(NOW, 120, 60));
         prop_assert!(times.is_sorted(), "{times:?}");
     }
+}
+
+/// The clocks were compared over a slow connection, so a request may seem to be rejected and answered before it was sent.
+/// The stages of its history are in the order in which one follows from the other nevertheless.
+#[test]
+fn a_large_error_of_the_clocks_changes_no_order_of_a_message() {
+    use Event::{Answered, Delivered, Enqueued, Rejected, Replied, Resent, Sent};
+    let mut stage = Stage::cell(Theme::ASCII);
+    // The answer came when the left arm's clock was 300 ms behind that of the right arm.
+    let here = [(4_000, Sent), (4_040, Resent), (4_060, Answered)];
+    let there = [(4_310, Rejected), (4_345, Enqueued), (4_350, Delivered), (4_355, Replied)];
+    let of = |list: &[(u64, Event)], peer| {
+        list.iter().map(|(ms, event)| (*ms, left(*event, BEAT, peer, 7, 100))).collect::<Vec<_>>()
+    };
+    // The round trip of the comparison took 400 ms.
+    for node in [0, 1] {
+        stage.frame(ms(900), node, ServerFrame::Pong(Pong { echo_us: 500_000, mono_us: 4_700_000 }));
+    }
+    stage.frame(ms(1_000), 0, ServerFrame::Events(at(0, &of(&here, 1))));
+    stage.frame(ms(1_000), 1, ServerFrame::Events(at(1, &of(&there, 0))));
+    let key = MessageKey { source: TaskId(0), port: BEAT, number: 7 };
+    let stages = incarnation_of(stage.app.store(), &beam(), key);
+    let order: Vec<_> = stages.iter().map(|stage| stage.mark.seen.what.event).collect();
+    let place = |event| order.iter().position(|one| *one == event).unwrap();
+    let expected = [Sent, Rejected, Enqueued, Delivered, Replied, Answered];
+    assert!(expected.map(place).is_sorted(), "{order:?}");
 }
 
 /// Confirmations of a round are repeated. A repetition that comes after the release is not its cause.

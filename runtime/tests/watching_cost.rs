@@ -1,5 +1,5 @@
 //! Tests of what monitors cost a node: a hostile monitor costs hardly any memory (M4), a watched message costs no
-//! allocation (M5), and every missing event is counted (M13).
+//! allocation (M5), the updates of a large node are short (M6), and every missing event is counted (M13).
 
 use crate::allocator::{ByThread, live};
 use crate::alone;
@@ -9,13 +9,13 @@ use imrs_runtime::observer::Observer;
 use imrs_runtime::{Runtime, TaskEnd};
 use imrs_wire::obs::{
     ClientFrame, EventFilter, FrameError, FrameReader, FrameWriter, Handshake, Hello, Kinds, MAX_FRAME, Role,
-    SCHEMA, ServerFrame, VERSION, Want,
+    SCHEMA, ServerFrame, Snapshot, VERSION, Want,
 };
 use std::io::{Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -174,6 +174,108 @@ fn a_watched_message_allocates_nothing() {
     assert!(allocated <= 2, "{allocated} allocations");
     drop((observer, tell));
     reading.join().unwrap();
+    stop(runtime);
+}
+
+/// How many ports each of the two tasks of a large node has.
+const PORTS: usize = 5_000;
+/// One of this many ports has traffic in each period: 5 %.
+const APART: usize = 20;
+/// The period of the updates of a large node.
+const PERIOD: Duration = Duration::from_millis(100);
+
+/// A node whose task `a` sends one message through each of the next [`PORTS`] / [`APART`] ports whenever the test says
+/// so, and whose task `b` takes them.
+fn large_node() -> (Runtime, Sender<()>) {
+    let mut cell = cell(&[0, 0], Ticks(0));
+    for port in 0..PORTS {
+        cell.port(PortDecl::new(&format!("p{port}"), A, Usage::Send, &[B], LONG_TICKS).bounded_buffer(2));
+    }
+    let (tell, told) = channel();
+    let runtime = one_node(&table(cell))
+        .task("a", move |ctx| {
+            let mut ports = (0..PORTS).cycle().map(PortId::from_index);
+            while told.recv().is_ok() {
+                for port in ports.by_ref().take(PORTS / APART) {
+                    let _copies = ctx.send(port, b"news")?;
+                }
+            }
+            Ok(())
+        })
+        .task("b", |ctx| {
+            while ctx.receive(None, None)?.is_some() {}
+            Ok(())
+        })
+        .start()
+        .unwrap();
+    (runtime, tell)
+}
+
+/// Counts the bytes that come through a socket.
+struct Counted(UnixStream, Arc<AtomicU64>);
+
+impl Read for Counted {
+    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
+        let read = self.0.read(bytes)?;
+        self.1.fetch_add(read as u64, Ordering::Relaxed);
+        Ok(read)
+    }
+}
+
+/// M6: what a real node with 10,000 ports sends through its socket: its whole state, nothing new, and 5 % of its ports
+/// changed ten times a second. `IMRS_UPDATES` is the number of updates of each kind.
+#[test]
+fn a_large_node_sends_short_updates() {
+    let _alone = alone();
+    let updates: u32 = std::env::var("IMRS_UPDATES").map_or(10, |all| all.parse().expect("a number"));
+    let socket = Socket::new();
+    let (runtime, tell) = large_node();
+    let observer = Observer::start_at(runtime.node().clone(), &socket.0).unwrap();
+    let period_us = u32::try_from(PERIOD.as_micros()).unwrap();
+    let wanted = Want { period_us, queue_limit: 0, events: None, vitals_us: 1_000_000, ..want() };
+    let arrived = Arc::new(AtomicU64::new(0));
+    let stream = Counted(attach(&socket, wanted), Arc::clone(&arrived));
+    let mut reader = FrameReader::new(stream, MAX_FRAME);
+    assert!(Handshake::decode(reader.read_frame().expect("an answer")).is_ok());
+    let mut state = Snapshot::default();
+    // Reads up to the next update. Returns its length and how many ports it changes.
+    let mut next = || loop {
+        let bytes = reader.read_frame().expect("it goes on");
+        let length = bytes.len();
+        if let ServerFrame::Delta(delta) = ServerFrame::decode(bytes).expect("a known frame") {
+            let views = |state: &Snapshot| {
+                let tasks = state.tasks.iter();
+                tasks.flat_map(|task| task.view.ports.clone()).map(|port| port.counters).collect::<Vec<_>>()
+            };
+            let before = views(&state);
+            state.apply(&delta).expect("a change of what was told last");
+            let after = views(&state);
+            return (length, after.iter().zip(&before).filter(|(after, before)| after != before).count());
+        }
+    };
+    let (whole, _) = next();
+    let per_second = |bytes: u64, updates: u32| bytes as f64 / f64::from(updates) / PERIOD.as_secs_f64();
+    next();
+    let begin = arrived.load(Ordering::Relaxed);
+    let quiet = (0..updates).map(|_| next().1).sum::<usize>();
+    let idle = per_second(arrived.load(Ordering::Relaxed) - begin, updates);
+    tell.send(()).unwrap();
+    next();
+    let (begin, mut changed) = (arrived.load(Ordering::Relaxed), 0);
+    for _ in 0..updates {
+        tell.send(()).unwrap();
+        changed += next().1;
+    }
+    let busy = per_second(arrived.load(Ordering::Relaxed) - begin, updates);
+    let share = 100.0 * changed as f64 / f64::from(updates) / (2 * PORTS) as f64;
+    println!(
+        "10,000 ports over a socket: whole {whole} bytes; idle {idle:.0} bytes a second; {share:.1} % changed in each \
+         period: {busy:.0} bytes a second"
+    );
+    assert_eq!(quiet, 0, "no message was sent");
+    assert!(whole <= 200_000 && idle <= 1_000.0, "{whole}, {idle}");
+    assert!(share > 1.0 && busy <= 100_000.0 * f64::max(share / 5.0, 1.0), "{share} %: {busy}");
+    drop((tell, observer));
     stop(runtime);
 }
 

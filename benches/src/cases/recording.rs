@@ -3,7 +3,7 @@
 use super::cells;
 use super::{handoff, network};
 use crate::cores::Core;
-use crate::sample::Sample;
+use crate::sample::{Sample, worked};
 use crate::suite::{Effort, Goal, Row, Stat, Suite};
 use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable, Usage};
 use imrs_runtime::record::{About, FileRecorder, RecordingReader, Replay, Verdict, replay_recording};
@@ -17,6 +17,8 @@ use std::time::{Duration, Instant};
 const INCARNATION: (Incarnation, bool) = (Incarnation(1), false);
 /// How many steps are recorded for a round trip between two scripts.
 const STEPS: u32 = 5;
+/// How many events are observed of a round trip between two scripts.
+const EVENTS: u32 = 4;
 /// How long the end of a recording may take.
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -50,8 +52,8 @@ pub fn recording() -> Suite {
         );
         suite.case(
             format!("scripts {name}"),
-            "two scripts of a running node, run by the thread that began them: nothing sleeps, no kernel",
-            move |effort| handoff::scripts(effort, Usage::Send, how),
+            "two scripts of a running node, run by the thread that began them: nothing sleeps, no kernel; that thread's processor time, so that other programs do not count",
+            move |effort| handoff::scripts(effort, Usage::Send, how, worked),
         );
     }
     suite.case(
@@ -71,6 +73,9 @@ pub fn recording() -> Suite {
         });
         suite.row(Row::new("D62", observed, &alone, Stat::P50, Goal::AtMost(1.05)));
     }
+    let what = "scripts observed above scripts alone: nanoseconds an observed event";
+    let cases = ["scripts observed", "scripts alone"];
+    suite.row(Row::above("M5", what, cases, EVENTS, Stat::P50, Goal::AtMost(5.0)));
     let what = "replay: nanoseconds per recorded event (1 M events/s)";
     suite.row(Row::bounded("D62", what, "replay", Stat::Mean, Goal::AtMost(1_000.0)));
     suite
@@ -239,6 +244,27 @@ mod tests {
         let mut reader = RecordingReader::new(&bytes[..]).expect("a recording");
         let replays = replay_recording(&mut reader, &of_node).expect("whole");
         replays.iter().map(Replay::judged).sum()
+    }
+
+    /// How many events are observed of two scripts that make this many round trips.
+    fn events(trips: u32) -> usize {
+        let node = Runtime::builder(cells::asking(1, Usage::Send), NodeId(0))
+            .script("t0", cells::asker(trips))
+            .script("t1", cells::answerer())
+            .hold_scripts()
+            .start()
+            .expect("a node that starts");
+        let mut observations = node.node().observe();
+        node.begin();
+        let mut events = Vec::new();
+        assert_eq!(observations.drain(usize::MAX, &mut events), 0, "events were lost");
+        cells::stop(node);
+        events.len()
+    }
+
+    #[test]
+    fn what_observing_costs_is_shared_by_the_events_that_are_observed() {
+        assert_eq!(events(30) - events(20), 10 * EVENTS as usize);
     }
 
     #[test]

@@ -36,8 +36,21 @@ impl App {
     #[must_use]
     pub fn healthy(&self, findings: &[Finding], now: Moment) -> Vec<IncarnationId> {
         let Some(cell) = self.cell() else { return Vec::new() };
-        let loud: Vec<_> = self.blockers(now).iter().map(|blocker| blocker.place).collect();
+        let mut loud = Vec::new();
+        for blocker in self.blockers(now) {
+            loud.push(blocker.place);
+            // A node whose task a block holds is not healthy either.
+            let held = blocker.held().iter().filter(|_| blocker.is_alarming());
+            let nodes = held.filter_map(|task| self.incarnation_of_task(*task));
+            loud.extend(nodes.map(|node| Place { node: Ok(node.id), task: None, port: None }));
+        }
         healthy(self.store(), &cell, &self.shape, (findings, &loud), self.moment(now))
+    }
+
+    /// The row of the overview that the user has selected.
+    #[must_use]
+    pub(crate) const fn chosen_row(&self) -> Option<Place> {
+        self.selected
     }
 
     /// The index of the selected row: the row that the user chose, its nearest existing parent, or the first row.

@@ -25,6 +25,7 @@ impl App {
             Action::Quit => return Effect::Quit,
             Action::Suspend => return Effect::Suspend,
             Action::Show(screen) => self.show(screen),
+            Action::MoreOfStep => return self.turn_panel(),
             Action::Record => return if self.replay.is_some() { Effect::Nothing } else { Effect::Record },
             Action::StepBack | Action::StepOn | Action::PreviousAnomaly | Action::NextAnomaly => {
                 return Effect::Nothing;
@@ -34,10 +35,7 @@ impl App {
             Action::Command => self.open_entry(Kind::Command),
             Action::Mark => self.set_mark(now),
             Action::Difference => self.since_mark = self.mark.is_some() && !self.since_mark,
-            Action::Cycles => {
-                self.only_cycles = !self.only_cycles;
-                self.scroll = 0;
-            }
+            Action::Cycles => (self.only_cycles, self.scroll) = (!self.only_cycles, 0),
             Action::Closer | Action::Wider => self.zoom(action == Action::Closer),
             Action::NextMatch | Action::PreviousMatch => {
                 self.jump_to_match(action == Action::NextMatch, now);

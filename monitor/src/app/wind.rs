@@ -1,6 +1,6 @@
 //! Moves in a recording, and in the history while the screen is paused.
 
-use super::App;
+use super::{App, Effect};
 use crate::clock::Moment;
 use crate::keys::Action;
 use crate::replay::{At, Player, Ribbon};
@@ -22,6 +22,15 @@ impl App {
             Action::Newest => player.go_to_end(),
             _ => player.toggle(now),
         }
+    }
+
+    /// Shows the next lines of the panel about the shown step of a recording.
+    pub(super) fn turn_panel(&mut self) -> Effect {
+        let Some(player) = self.replay.as_mut().filter(|player| player.step().is_some()) else {
+            return Effect::Nothing;
+        };
+        player.turn_panel();
+        Effect::Draw
     }
 
     /// Moves in the history before the pause. At the end of the history, the moment of the pause is shown again.

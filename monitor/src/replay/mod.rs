@@ -86,6 +86,8 @@ pub struct Player {
     /// While the recording plays: the moment, the stop and the shown time at which it started to play.
     playing: Option<(Moment, usize, Moment)>,
     speed: f64,
+    /// How often the panel of the shown stop was turned to its next lines.
+    panel_page: usize,
     /// The kept intermediate states, in the order of their stops.
     kept: Vec<Kept>,
     /// The number of stops between two kept states.
@@ -114,6 +116,7 @@ impl Player {
             at: Duration::ZERO,
             playing: None,
             speed,
+            panel_page: 0,
             kept: Vec::new(),
             apart: 0,
             near: None,
@@ -145,6 +148,16 @@ impl Player {
     #[must_use]
     pub const fn stop(&self) -> usize {
         self.stop
+    }
+
+    /// How often the panel of the shown stop was turned to its next lines.
+    pub(crate) const fn panel_page(&self) -> usize {
+        self.panel_page
+    }
+
+    /// Turns the panel of the shown stop to its next lines.
+    pub(crate) const fn turn_panel(&mut self) {
+        self.panel_page = self.panel_page.wrapping_add(1);
     }
 
     /// The time that is shown.
@@ -257,6 +270,7 @@ impl Player {
     }
 
     fn turn_to(&mut self, stop: usize) {
+        self.panel_page = 0;
         if stop < self.stop {
             let before = self.kept.iter().chain(&self.near).filter(|kept| kept.stop <= stop);
             let kept = before.max_by_key(|kept| kept.stop).cloned();

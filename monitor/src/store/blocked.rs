@@ -75,11 +75,16 @@ impl Blocker {
         place.holds(&self.place)
     }
 
+    /// The tasks that are no cause of the block, but wait because of it.
+    #[must_use]
+    pub fn held(&self) -> &[TaskId] {
+        if matches!(self.kind, Kind::Awaited | Kind::Cut) { &self.by } else { &[] }
+    }
+
     /// Whether the block holds the task of this place.
     #[must_use]
     pub fn holds(&self, place: &Place) -> bool {
-        matches!(self.kind, Kind::Awaited | Kind::Cut)
-            && place.task.is_some_and(|task| self.by.contains(&task))
+        place.task.is_some_and(|task| self.held().contains(&task))
     }
 
     /// Whether a finding is only a consequence of this block.

@@ -13,7 +13,8 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashMap, HashSet};
 use std::time::Duration;
 
-/// The largest error between the clocks of two nodes that is assumed when the cause of an event is searched.
+/// The least error between the clocks of two nodes that is assumed when the cause of an event is searched. If the
+/// comparisons of the clocks have a larger error, that error is assumed.
 const APART: Duration = Duration::from_millis(100);
 
 /// An event of a task, as the timeline draws it.
@@ -97,9 +98,15 @@ pub fn timeline_of(store: &Store, cell: &Name, most: usize, wanted: impl Fn(&See
     found.reverse();
     found.sort_by_key(|(at, ..)| *at);
     let mut marks: Vec<Mark> = found.into_iter().map(Mark::of).collect();
-    find_causes(&mut marks);
+    find_causes(&mut marks, apart(store, cell));
     gaps.sort_by_key(|gap| gap.order);
     Timeline { marks: ordered(marks), gaps }
+}
+
+/// By how much an effect may seem to be earlier than its cause on another node: the errors of two clocks.
+fn apart(store: &Store, cell: &Name) -> Duration {
+    let errors = store.incarnations_of(cell).filter_map(|incarnation| Some(incarnation.clock?.error_us));
+    errors.max().map_or(APART, |error| APART.max(Duration::from_micros(error.saturating_mul(2))))
 }
 
 /// For each incarnation, by how much the monitor's clock is ahead of the node's, in microseconds.
@@ -231,7 +238,7 @@ fn caused_by(mark: &Mark) -> Option<(Option<TaskId>, PortId, Kind, u32)> {
 /// Finds each mark's cause: the latest match that is not later, otherwise the earliest that is not clearly later.
 /// Several marks may match, because numbers restart with each incarnation, and confirmations are repeated. A later
 /// repetition must not be the cause, because it would delay all marks after it.
-fn find_causes(marks: &mut [Mark]) {
+fn find_causes(marks: &mut [Mark], apart: Duration) {
     // `acts` has the last mark per key, and `alike` links each mark to the previous one with the same key.
     let mut acts: HashMap<u64, usize> = HashMap::with_capacity(marks.len());
     let mut alike = vec![None; marks.len()];
@@ -252,7 +259,7 @@ fn find_causes(marks: &mut [Mark]) {
         let fits = |&candidate: &usize| {
             let cause: &Mark = &marks[candidate];
             let whose = from.is_none_or(|from| from == cause.task) && cause.task != mark.task;
-            whose && cause.at <= mark.at.saturating_add(APART)
+            whose && cause.at <= mark.at.saturating_add(apart)
         };
         let latest = acts.get(&key).copied();
         let mut found = None;

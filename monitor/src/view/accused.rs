@@ -43,8 +43,14 @@ pub(super) fn accuse(
         }
         return;
     }
-    // The row of a port shows only its own findings.
-    let Some(blocker) = alarming.find(|blocker| row.depth == 1 && blocker.holds(&row.place)) else { return };
+    // The row of a port shows only its own findings, and that of an open node leaves it to the rows of its tasks.
+    let is_of_row = |task| app.incarnation_of_task(task).is_some_and(|node| row.place.node == Ok(node.id));
+    let is_held = |blocker: &Blocker| match row.depth {
+        0 if !row.open => blocker.held().iter().any(|task| is_of_row(*task)),
+        1 => blocker.holds(&row.place),
+        _ => false,
+    };
+    let Some(blocker) = alarming.find(|blocker| is_held(blocker)) else { return };
     let worst = findings.iter().find(|f| row.place.holds(&f.place) && !blocker.explains(f));
     if worst.is_none() {
         let text = if width < 60 { String::new() } else { format!(" held by {}", blocker.name) };

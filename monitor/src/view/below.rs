@@ -63,8 +63,8 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink, Option<Place>
         let found = cuts.iter().find(|cut| [(a, b), (b, a)].contains(&(cut.from.node_id, cut.to.node_id)));
         found.map(|cut| cut.to.node_id)
     };
-    let is_faulty =
-        |a, b| measured(app, cell, [(a, b), (b, a)], now).iter().any(|link| link.report.integrity.is_faulty);
+    let is_faulty = |ends: &[_]| measured(app, cell, ends, now).any(|link| link.report.integrity.is_faulty);
+    let is_late = |ends: &[_]| measured(app, cell, ends, now).any(|link| link.margin() != Margin::Enough);
     let mut pieces = vec![(" links".to_owned(), Ink::Dim, None)];
     let mut unknown = 0;
     for link in names.links.iter().take(SHOWN) {
@@ -75,9 +75,9 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink, Option<Place>
             _ if stopped(link.a) || stopped(link.b) => ("STOPPED".to_owned(), Ink::Dim),
             _ if gone(link.a) || gone(link.b) => ("DOWN".to_owned(), Ink::Warn),
             _ if cut_at(link.a, link.b).is_some() => ("CUT".to_owned(), Ink::Bad),
-            _ if is_faulty(link.a, link.b) => ("FAULTY".to_owned(), Ink::Bad),
+            _ if is_faulty(&ends) => ("FAULTY".to_owned(), Ink::Bad),
             Some(us) if us <= LATELY_US => {
-                let (delay, ink) = delay(app, cell, ends, now);
+                let (delay, ink) = delay(app, cell, &ends, now);
                 (format!("ok{delay}"), ink)
             }
             // Without traffic a link is quiet, which is no fault.
@@ -88,8 +88,12 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink, Option<Place>
             }
         };
         let is_ended = |node| stopped(node) || gone(node);
-        let ended = [link.a, link.b].into_iter().find(|node| is_ended(*node));
-        let node = ended.or_else(|| cut_at(link.a, link.b)).unwrap_or(link.a);
+        let at = |is_there: &dyn Fn(NodeId, &[_]) -> bool| {
+            ends.iter().find(|(node, peer)| is_there(*node, &[(*node, *peer)])).map(|(node, _)| *node)
+        };
+        let ended = at(&|node, _| is_ended(node)).or_else(|| cut_at(link.a, link.b));
+        let ailing = ended.or_else(|| at(&|_, end| is_faulty(end))).or_else(|| at(&|_, end| is_late(end)));
+        let node = ailing.unwrap_or(link.a);
         let incarnation = store.latest(cell, node).map(|incarnation| incarnation.id);
         let place = Place { node: incarnation.ok_or(node), task: None, port: None };
         pieces.push((name + &text, ink, Some(place)));
@@ -103,22 +107,26 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink, Option<Place>
     pieces
 }
 
-/// The links between these nodes, as their ends measure them.
-fn measured<'a>(app: &'a App, cell: &Name, ends: [(NodeId, NodeId); 2], now: Moment) -> Vec<Measured<'a>> {
-    let direction = |(at, from)| {
-        let incarnation = app.store().latest(cell, at)?;
-        incarnation.measured(now).find(|link| link.report.peer == from)
-    };
-    ends.into_iter().filter_map(direction).collect()
+/// Links to a node from a neighbour, as the node measures them.
+fn measured<'a>(
+    app: &'a App,
+    cell: &'a Name,
+    ends: &'a [(NodeId, NodeId)],
+    now: Moment,
+) -> impl Iterator<Item = Measured<'a>> + Clone {
+    ends.iter().filter_map(move |(at, from)| {
+        let incarnation = app.store().latest(cell, *at)?;
+        incarnation.measured(now).find(|link| link.report.peer == *from)
+    })
 }
 
 /// The recent 99th percentile of the delay in the slower direction of a link, and the declared bound: ` 400us/5ms`.
-fn delay(app: &App, cell: &Name, ends: [(NodeId, NodeId); 2], now: Moment) -> (String, Ink) {
-    let links = measured(app, cell, ends, now);
-    let slowest =
-        links.iter().filter(|link| link.report.recent.count > 0).max_by_key(|link| link.report.recent.p99_us);
+fn delay(app: &App, cell: &Name, ends: &[(NodeId, NodeId)], now: Moment) -> (String, Ink) {
+    let mut links = measured(app, cell, ends, now);
+    let measures = links.clone().filter(|link| link.report.recent.count > 0);
+    let slowest = measures.max_by_key(|link| link.report.recent.p99_us);
     let Some(link) = slowest else { return (String::new(), Ink::Plain) };
-    let is_enough = links.iter().all(|link| link.margin() == Margin::Enough);
+    let is_enough = links.all(|link| link.margin() == Margin::Enough);
     let text = format!(" {}/{}", Span::micros(link.report.recent.p99_us), Span::micros(link.bound_us));
     (text, if is_enough { Ink::Plain } else { Ink::Warn })
 }

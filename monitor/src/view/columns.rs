@@ -49,7 +49,8 @@ pub(super) fn columns(
     let (name, state, cells): (u16, u16, &[usize]) = match screen {
         0..60 => (0, 0, &[0, 2, 3, HEALTH_CELL]),
         60..80 => (18, 14, &[0, 1, 2, 3, HEALTH_CELL]),
-        80..90 => (20, 22, &[0, 1, 2, 3, 5, HEALTH_CELL]),
+        // What has expired is counted in the health, too, which needs the room more.
+        80..90 => (20, 22, &[0, 1, 2, 3, HEALTH_CELL]),
         90..116 => (20, 28, &[0, 1, 2, 3, 5, HEALTH_CELL]),
         116..160 => (26, 32, &[0, 1, 2, 3, 4, 5, 6, 7, HEALTH_CELL]),
         _ => (36, 40, &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, HEALTH_CELL]),

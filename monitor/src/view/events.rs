@@ -15,7 +15,7 @@ fn columns(width: u16) -> Vec<Column> {
     if width >= 60 {
         columns.push(Column::left("NODE", 10));
     }
-    columns.extend([Column::left("KIND", 10), Column::left("OBJECT", if width < 100 { 18 } else { 28 })]);
+    columns.extend([Column::left("KIND", 11), Column::left("OBJECT", if width < 100 { 18 } else { 28 })]);
     if width >= 60 {
         columns.push(Column::left("DETAIL", 0));
     }

@@ -1,4 +1,5 @@
-//! The bottom line: unusual facts at the left, and the keys of the screen at the right. Findings never displace the keys.
+//! The bottom line: unusual facts or the finding of the selected row at the left, and the keys of the screen at the right.
+//! Findings never displace the keys.
 
 use super::canvas::{Canvas, columns};
 use super::scrub::KEYS_OF_TIME;
@@ -7,8 +8,9 @@ use crate::app::{App, Entry, Kind, Screen};
 use crate::clock::{Moment, Span};
 use crate::drawn::Hit;
 use crate::keys::Action;
+use crate::problems::Problem;
 use crate::store::blocked::Blocker;
-use crate::store::health::Finding;
+use crate::store::health::{Finding, Place};
 use crate::store::journal::Severity;
 use crate::theme::Ink;
 use ratatui::layout::Rect;
@@ -144,13 +146,42 @@ fn pieces(app: &App, findings: &[Finding], blockers: &[Blocker], now: Moment) ->
     }
     if let Some(trouble) = app.store().troubles().next() {
         pieces.push((format!(" ! {trouble}"), Ink::Warn, Hit::Trouble));
-    } else if let Some(worst) = root(findings, blockers).filter(|f| f.level >= Severity::Warn) {
-        let place = overview::label(app, worst.place);
-        let ink = if worst.level == Severity::Bad { Ink::Bad } else { Ink::Warn };
-        let text = format!(" {} {place}: {}", mark(worst.level), worst.text);
-        pieces.push((text, ink, Hit::Place(worst.place)));
+        return pieces;
+    }
+    let chosen = chosen(app, findings, blockers, now);
+    let worst = || Some((root(findings, blockers).filter(|f| f.level >= Severity::Warn)?, None));
+    if let Some((finding, row)) = chosen.or_else(worst) {
+        // The row already names its own place.
+        let place = if row == Some(finding.place) { None } else { Some(overview::label(app, finding.place)) };
+        let place = place.map_or_else(String::new, |place| format!("{place}: "));
+        let ink = if finding.level == Severity::Bad { Ink::Bad } else { Ink::Warn };
+        let text = format!(" {} {place}{}", mark(finding.level), finding.text);
+        pieces.push((text, ink, Hit::Place(finding.place)));
     }
     pieces
+}
+
+/// The finding of the row that the user has selected, whose cell may have no room for all of it, and the place of that
+/// row.
+fn chosen<'a>(
+    app: &App,
+    findings: &'a [Finding],
+    blockers: &[Blocker],
+    now: Moment,
+) -> Option<(&'a Finding, Option<Place>)> {
+    match app.screen {
+        Screen::Overview => {
+            let row = app.chosen_row()?;
+            Some((findings.iter().find(|finding| row.holds(&finding.place))?, Some(row)))
+        }
+        Screen::Problems => {
+            let rows = app.problems(findings, blockers, now);
+            let Problem::Finding { finding, .. } = rows.get(app.problem(&rows))? else { return None };
+            let finding = findings.iter().find(|one| *one == finding)?;
+            Some((finding, Some(finding.place)))
+        }
+        _ => None,
+    }
 }
 
 /// The most severe finding that is no consequence of a block.

@@ -35,7 +35,7 @@ pub(super) fn node(
     // a somewhat wider one has no room for a number that few people need.
     let pid = match &restarts {
         Some((_, whole)) if screen < 60 => format!(" {whole}"),
-        _ if incarnation.pid == 0 || (60..80).contains(&screen) => String::new(),
+        _ if incarnation.pid == 0 || (60..90).contains(&screen) => String::new(),
         _ => format!(" (pid {})", incarnation.pid),
     };
     cells[0] = (format!("{sign} {}{pid}", incarnation.node), Ink::Plain);

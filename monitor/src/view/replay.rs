@@ -38,7 +38,9 @@ pub(super) fn draw(app: &App, player: &Player, canvas: &mut Canvas<'_>) {
     let lines = lines(app, player);
     let room = usize::from(canvas.height());
     let shown = if lines.len() > room { room.saturating_sub(1) } else { lines.len() };
-    for (y, (text, ink, hit)) in (0..).zip(lines.iter().take(shown)) {
+    let pages = lines.len().div_ceil(shown.max(1)).max(1);
+    let first = player.panel_page() % pages * shown;
+    for (y, (text, ink, hit)) in (0..).zip(lines.iter().skip(first).take(shown)) {
         canvas.at(0, y, u16::MAX, text, *ink);
         if let Some(hit) = hit {
             canvas.keys(0, y, text, KEYS_OF_TIME);
@@ -47,7 +49,14 @@ pub(super) fn draw(app: &App, player: &Player, canvas: &mut Canvas<'_>) {
     }
     if lines.len() > shown {
         let y = u16::try_from(shown).unwrap_or(0);
-        canvas.at(0, y, u16::MAX, &format!("   ... {} lines more", lines.len() - shown), Ink::Dim);
+        let key = app.keymap.label_of(Action::MoreOfStep);
+        let text = match lines.len().saturating_sub(first + shown) {
+            0 => format!("   ... {key}: from the first line on"),
+            1 => format!("   ... 1 line more: {key}"),
+            more => format!("   ... {more} lines more: {key}"),
+        };
+        canvas.at(0, y, u16::MAX, &text, Ink::Dim);
+        canvas.target(0, y, u16::MAX, Hit::Key(Action::MoreOfStep));
     }
 }
 
