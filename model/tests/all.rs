@@ -11,6 +11,7 @@ mod claims;
 mod couples;
 mod faulty_cells;
 mod guard;
+mod inside;
 mod outside;
 mod parts;
 mod pauses;
