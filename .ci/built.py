@@ -151,8 +151,9 @@ class Built:
             env = dict(IMRS_SEED=str(seed), IMRS_CELLS=str(cells), RUST_TEST_THREADS="1")
             code, output = self.run(number, "model tests", ["zones::"], cpu, "model", **env)
             if code == 101:
-                where = re.search(r"panicked at (\S+:\d+):\d+:\n(.{0,80})", output)
-                return f"{where[1]}: {where[2]}" if where else "a test fails"
+                where = re.search(r"panicked at (\S+:\d+):\d+:\n(.{0,160})", output)
+                what = f"{where[1]}: {where[2]}" if where else "a test fails"
+                return what.replace(f"{self.copy.folder}/model/../", "")
         return None
 
     def verdict(self, number, cell, cpu):

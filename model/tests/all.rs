@@ -15,6 +15,7 @@ mod inside;
 mod outside;
 mod parts;
 mod pauses;
+mod ranges;
 mod reductions;
 mod rules;
 mod simulate;
