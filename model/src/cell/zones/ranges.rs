@@ -58,34 +58,35 @@ pub(super) fn ranges(
     };
     let Some((mut told, _)) = of(moves, None) else { return Vec::new() };
     let ticks = instants(plan, faults, moves).and_then(|all| Some(all.last()?.tick)).unwrap_or(0);
-    let until = 2 * ticks + LONGER;
     let mut left = PATHS;
-    for range in &mut told {
+    for (number, range) in &mut told {
         for is_long in [false, true] {
-            let Some(number) = range.0.filter(|_| range.1.is_narrowed()) else { continue };
-            let mut timing = of(moves, Some((number, is_long))).map(|(_, timing)| timing).unwrap_or_default();
+            let Some(end) = number.filter(|_| range.is_narrowed()).map(|number| (number, is_long)) else {
+                continue;
+            };
+            let mut timing = of(moves, Some(end)).map(|(_, timing)| timing).unwrap_or_default();
             // The same finding may come in another order of events at the next tick.
             while left > 0
-                && let Some((ticks, _)) = timing.get_mut(&number)
-                && let Some(next) = range.1.beyond(*ticks, is_long)
-                && {
-                    (*ticks, left) = (next, left - 1);
-                    true
-                }
-                && let Some(other) = moves_with(plan, (phase, faults), &timing, until, shown)
-                && let Some((all, at_end)) = of(&other, Some((number, is_long)))
-                && let Some((_, other)) = all.iter().find(|(other, _)| *other == Some(number))
+                && let Some(next) = next(range, end, timing)
+                && let Some(other) = moves_with(plan, (phase, faults), &next, 2 * ticks + LONGER, shown)
+                && let Some((all, at_end)) = of(&other, Some(end))
+                && let Some((_, other)) = all.iter().find(|(number, _)| *number == Some(end.0))
             {
-                range.1.least = range.1.least.min(other.least);
-                range.1.most = range.1.most.max(other.most);
-                timing = at_end;
+                range.least = range.least.min(other.least);
+                range.most = range.most.max(other.most);
+                (timing, left) = (at_end, left - 1);
             }
         }
     }
-    told.into_iter()
-        .map(|(_, range)| range)
-        .filter(|range| Some(range.declared_least) != range.declared_most)
-        .collect()
+    let is_uncertain = |range: &TimeRange| Some(range.declared_least) != range.declared_most;
+    told.into_iter().map(|(_, range)| range).filter(is_uncertain).collect()
+}
+
+/// The same times, but that of one action or packet is a tick beyond its range; `None` if the cell declares no such time.
+fn next(range: &TimeRange, (number, is_long): (Number, bool), mut timing: Timing) -> Option<Timing> {
+    let (ticks, _) = timing.get_mut(&number)?;
+    *ticks = range.beyond(*ticks, is_long)?;
+    Some(timing)
 }
 
 /// Makes the moves on plain ticks, and returns the instants at which something happens; `None` if a move is none of a search by zones.
@@ -122,7 +123,7 @@ pub(super) fn instants(
 }
 
 /// The part of a zone in which a time is as short or (`true`) as long as it may be; `None` if it has no such bound.
-fn at_end(zone: &Dbm, took: &Symbol, is_long: bool) -> Option<Dbm> {
+fn at_end(zone: &Dbm, took: Symbol, is_long: bool) -> Option<Dbm> {
     let (first, second) = (usize::from(took.first), usize::from(took.second));
     let (one, other) = if is_long { (first, second) } else { (second, first) };
     let (mut end, bound) = (zone.clone(), zone.bound(one, other)?);
@@ -137,6 +138,17 @@ struct Begun {
     most: Ticks,
 }
 
+/// An action or a packet that has ended.
+struct Ended {
+    number: Number,
+    /// The move that ended it.
+    step: CellMove,
+    timed: Timed,
+    took: Symbol,
+    /// The least and the greatest time that the cell declares.
+    declared: [Ticks; 2],
+}
+
 /// A path that is made again on symbolic times.
 pub(super) struct Path<'a> {
     guide: &'a Guide,
@@ -148,8 +160,7 @@ pub(super) struct Path<'a> {
     /// The running actions, by task and activation.
     running: BTreeMap<(u8, u8), Begun>,
     numbers: Numbers,
-    /// The times that have ended, each with the move that ended it.
-    ended: Vec<(Number, CellMove, Timed, Symbol, [Ticks; 2])>,
+    ended: Vec<Ended>,
 }
 
 impl<'a> Path<'a> {
@@ -225,7 +236,8 @@ impl<'a> Path<'a> {
             let took = self.since(begun.at);
             let least = i64::try_from(begun.least.0).ok()?;
             let timed = self.action(task, &begun);
-            self.ended.push((number?, step, timed, took, [begun.least, begun.most]));
+            let declared = [begun.least, begun.most];
+            self.ended.push(Ended { number: number?, step, timed, took, declared });
             return self.guide.keep(Symbol { offset: took.offset - least, ..took }).then_some(());
         }
         let Some(packet) = step.packet() else { return Some(()) };
@@ -243,7 +255,8 @@ impl<'a> Path<'a> {
             _ => carried.age >= bound,
         };
         let timed = Timed::Packet { port: carried.packet.port, from, to };
-        self.ended.push((number?, step, timed, symbol_of(carried.age)?, [Ticks(1).min(bound), bound]));
+        let (took, declared) = (symbol_of(carried.age)?, [Ticks(1).min(bound), bound]);
+        self.ended.push(Ended { number: number?, step, timed, took, declared });
         comes.then_some(())
     }
 
@@ -252,15 +265,15 @@ impl<'a> Path<'a> {
     fn timing(&self, end: Option<(Number, bool)>) -> Timing {
         let mut zone = self.guide.zone();
         let of = |(number, is_long): (Number, bool)| {
-            let (.., took, _) = self.ended.iter().find(|(other, ..)| *other == number)?;
-            at_end(&zone, took, is_long)
+            let ended = self.ended.iter().find(|ended| ended.number == number)?;
+            at_end(&zone, ended.took, is_long)
         };
         zone = end.and_then(of).unwrap_or(zone);
         let point = zone.point();
-        let took =
-            |took: &Symbol| point[usize::from(took.first)] - point[usize::from(took.second)] + took.offset;
-        let of = |(number, step, _, symbol, _): &(Number, CellMove, Timed, Symbol, [Ticks; 2])| {
-            (*number, (took(symbol).unsigned_abs(), *step))
+        let of = |ended: &Ended| {
+            let Symbol { first, second, offset } = ended.took;
+            let ticks = point[usize::from(first)] - point[usize::from(second)] + offset;
+            (ended.number, (ticks.unsigned_abs(), ended.step))
         };
         self.ended.iter().map(of).collect()
     }
@@ -304,7 +317,7 @@ impl<'a> Path<'a> {
         let ends = self
             .ended
             .iter()
-            .flat_map(|(.., took, _)| [at_end(&zone, took, false), at_end(&zone, took, true)]);
+            .flat_map(|ended| [false, true].map(|is_long| at_end(&zone, ended.took, is_long)));
         std::iter::once(zone.clone()).chain(ends.flatten()).collect()
     }
 
@@ -325,8 +338,11 @@ impl<'a> Path<'a> {
             }
         };
         let mut all = Vec::new();
-        for (number, _, timed, took, bounds) in &self.ended {
-            all.push((Some(*number), range(timed.clone(), *took, *bounds, true)));
+        for Ended { number, step, timed, took, declared } in &self.ended {
+            // A lost packet does not arrive at any time.
+            if matches!(step, CellMove::Acted(..) | CellMove::Deliver(_) | CellMove::Mend(..)) {
+                all.push((Some(*number), range(timed.clone(), *took, *declared, true)));
+            }
         }
         for (&(task, _), begun) in &self.running {
             all.push((
