@@ -14,6 +14,7 @@ BUILDS = {
     "imrs": ["build", "--workspace", "--bin", "imrs"],
     "all": ["test", "--workspace", "--test", "all", "--no-run"],
     "--lib": ["test", "-p", "imrs-protocol", "--lib", "--no-run"],
+    "tests": ["test", "-p", "imrs-model", "--test", "all", "--no-run"],
     "--test": ["test", "-p", "imrs-protocol", "--test", "all", "--no-run"],
 }
 
@@ -143,6 +144,20 @@ class Built:
         code, output = self.run(number, "protocol --test", ["fused::a_fused_step_equals_the_small_steps", "--exact"], cpu, "protocol")
         differs = re.search(r"panicked at (\S*tests/support/fused\.rs:\d+)", output)
         return differs.group(1) if code == 101 and differs else None
+
+    def zones(self, number, cpu):
+        """Where a comparison of the search by zones with that at every tick fails; None where none does, and the empty text where one did not end. The
+        seeds of the gate come first."""
+        for seed, cells in (1, 120), (121, 200):
+            env = dict(IMRS_SEED=str(seed), IMRS_CELLS=str(cells), RUST_TEST_THREADS="1")
+            code, output = self.run(number, "model tests", ["zones::"], cpu, "model", **env)
+            if code is None or code < 0:
+                return ""
+            if code == 101:
+                where = re.search(r"panicked at (\S+:\d+):\d+:\n(.{0,160})", output)
+                what = f"{where[1]}: {where[2]}" if where else "a test fails"
+                return what.replace(f"{self.copy.folder}/model/../", "")
+        return None
 
     def verdict(self, number, cell, cpu):
         """What is said of a cell; None where the checker does not end, or does not look at all of it."""

@@ -1,13 +1,13 @@
-//! Checks the list of faults that `.ci/planted` plants into the protocol. Each fault must still fit its file, because
-//! otherwise it would not test the checker.
+//! Checks the lists of faults that `.ci/planted` plants into the protocol and into the search by zones. Each fault must
+//! still fit its file, because otherwise it would not test the checker.
 
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
-/// The least number of faults in the list. Fewer faults would test the claims too little.
-const FEWEST: usize = 80;
+/// The lists, and the least number of faults in each. Fewer faults would test the claims, or the search, too little.
+const LISTS: [(&str, usize); 2] = [("planted", 80), ("planted-zones", 20)];
 
 struct Fault {
     title: String,
@@ -17,9 +17,9 @@ struct Fault {
     new: String,
 }
 
-/// The list of faults, parsed as `.ci/planted` parses it.
-fn faults() -> Vec<Fault> {
-    let list = fs::read_to_string(Path::new(ROOT).join("model/planted.txt")).expect("the list");
+/// A list of faults, parsed as `.ci/planted` parses it.
+fn faults(name: &str) -> Vec<Fault> {
+    let list = fs::read_to_string(Path::new(ROOT).join(format!("model/{name}.txt"))).expect("the list");
     list.split("\n# ").skip(1).map(fault).collect()
 }
 
@@ -40,16 +40,20 @@ fn fault(block: &str) -> Fault {
 
 #[test]
 fn every_planted_fault_fits_its_file_exactly_once() {
-    let faults = faults();
-    assert!(faults.len() >= FEWEST, "only {} faults", faults.len());
     let (mut titles, mut changes) = (BTreeSet::new(), BTreeSet::new());
-    for Fault { title, claim, file, old, new } in faults {
+    let listed = LISTS.iter().flat_map(|&(name, fewest)| {
+        let faults = faults(name);
+        assert!(faults.len() >= fewest, "{name}: only {} faults", faults.len());
+        faults
+    });
+    for Fault { title, claim, file, old, new } in listed {
         let text = fs::read_to_string(Path::new(ROOT).join(&file)).unwrap_or_else(|e| panic!("{file}: {e}"));
         assert!(!old.is_empty() && old != new, "{title}: changes nothing");
         assert_eq!(text.matches(&old).count(), 1, "{title}: its lines in {file}");
-        // Two words are no claims of the protocol: `guard` is the random cells of model/tests/guard, `fused` those of protocol/tests/fused.rs.
-        let is_known =
-            ["guard", "fused"].contains(&&*claim) || imrs_model::claim_names().contains(&claim.as_str());
+        // Three words are no claims of the protocol but tests: `guard` is model/tests/guard, `fused` is protocol/tests/fused.rs, `zones` is
+        // model/tests/zones.rs.
+        let is_known = ["guard", "fused", "zones"].contains(&&*claim)
+            || imrs_model::claim_names().contains(&claim.as_str());
         assert!(is_known, "{title}: no claim is named {claim}");
         assert!(titles.insert(title.clone()), "{title}: twice");
         assert!(changes.insert((file, old, new)), "{title}: the same change as another");

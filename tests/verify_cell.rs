@@ -279,6 +279,17 @@ fn the_finding_in_the_reference_is_what_is_said() {
 }
 
 #[test]
+fn a_finding_by_zones_says_for_which_times_it_happens() {
+    let verify = ["verify", "examples/faulty/camera_looks_too_long.cell", "--times", "zones"];
+    let said = run(&verify);
+    assert!(said.out.contains("\n  happens if `look` of camera takes 49..60 msec\n"), "{said:?}");
+    let said = run(&[&verify[..], &["--format", "json"]].concat()).last_json();
+    let happens = &said["findings"][0]["happens"][0];
+    let times = ["least_us", "most_us", "declared_least_us"].map(|name| happens[name].as_u64());
+    assert_eq!(times, [49_000, 60_000, 20_000].map(Some), "{said}");
+}
+
+#[test]
 fn a_finding_that_no_steps_lead_to_is_not_saved_and_that_is_said() {
     let (folder, path) = cell("7", "check idle: asker.at = 99 leads teller.x = 1 within 5 msec;\n");
     let saved = folder.path().join("found.imrs");

@@ -44,11 +44,11 @@ const KINDS: [Kind; 16] = [
 /// The word in a file whose cell the checker cannot search.
 const NOT_CHECKED: &str = "\"not checked\"";
 
-struct Faulty {
-    name: String,
-    text: String,
+pub struct Faulty {
+    pub name: String,
+    pub text: String,
     /// The findings that the checker must report, as the file states them.
-    finds: String,
+    pub finds: String,
 }
 
 /// A cell and its verdicts from a complete search.
@@ -71,18 +71,27 @@ static CHECKED: LazyLock<Vec<Checked>> = LazyLock::new(|| {
     faulty().into_iter().map(checked).collect()
 });
 
-/// The cells whose files state what the checker finds.
+/// The faulty cells. Those in the folder `inside` of it have tests of their own (`inside.rs`).
 fn faulty() -> Vec<Faulty> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/faulty");
+    let all = faulty_in("../examples/faulty");
+    assert!(all.len() >= FEWEST, "only {} faulty cells", all.len());
+    all
+}
+
+/// The cells in a folder whose files state what the checker finds.
+pub fn faulty_in(folder: &str) -> Vec<Faulty> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join(folder);
     let mut all = Vec::new();
     for entry in std::fs::read_dir(folder).expect("the folder of faulty cells").flatten() {
+        if entry.path().is_dir() {
+            continue;
+        }
         let text = std::fs::read_to_string(entry.path()).expect("a cell file");
         let said = text.lines().take(2).find_map(|line| comment(line, "verify finds"));
         let Some(finds) = said.map(str::to_owned) else { continue };
         all.push(Faulty { name: entry.file_name().to_string_lossy().into_owned(), text, finds });
     }
     all.sort_by(|a, b| a.name.cmp(&b.name));
-    assert!(all.len() >= FEWEST, "only {} faulty cells", all.len());
     all
 }
 

@@ -1,6 +1,7 @@
 //! The result of checking a cell, as JSON for programs.
 
 use super::advice::help;
+use super::happens::RangeAnswer;
 use super::limits::not_looked_for;
 use super::subject::Subject;
 use imrs_model::cell::{
@@ -97,6 +98,9 @@ pub struct FindingAnswer<'a> {
     /// The states of other tasks at the finding.
     meanwhile: Vec<Meanwhile<'a>>,
     at_ticks: u64,
+    /// The uncertain times on the path to the finding, and with which values of them it happens; empty if a search without zones found
+    /// it.
+    happens: Vec<RangeAnswer<'a>>,
     chart: &'a str,
     /// Whether `--save` saved the finding.
     saved: bool,
@@ -279,6 +283,7 @@ impl Subject {
             help: help(finding.kind),
             meanwhile: finding.others.iter().map(meanwhile).collect(),
             at_ticks: finding.at_ticks,
+            happens: self.ranges(finding),
             chart: &finding.chart,
             saved,
         }

@@ -4,6 +4,7 @@ mod advice;
 mod answer;
 mod cell;
 mod covered;
+mod happens;
 mod limits;
 mod progress;
 mod report;

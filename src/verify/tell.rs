@@ -228,6 +228,7 @@ impl Subject {
             out.line(format!("  meanwhile {}", self.meanwhile(other)))?;
         }
         chart(&finding.chart, all, out)?;
+        self.happens(finding).into_iter().try_for_each(|happens| out.line(format!("  {happens}")))?;
         out.line(format!("  help: {}", help(finding.kind)))
     }
 

@@ -31,7 +31,7 @@ fn the_examples_have_only_notes() {
     check(WELD, &["N201 `15 msec`"]);
 }
 
-/// Each file in `examples/faulty` and `examples/rules` lists its findings in the first line: `(* finds: E104 9:45 *)`. The
+/// Each file in `examples/faulty`, `examples/faulty/inside` and `examples/rules` lists its findings in the first line: `(* finds: E104 9:45 *)`. The
 /// faults of a file without such a line are found by the model checker.
 #[test]
 fn faulty_cells_are_found_out_where_they_say() {
@@ -39,7 +39,7 @@ fn faulty_cells_are_found_out_where_they_say() {
     let files = |folder| std::fs::read_dir(examples.join(folder)).expect("a folder of cells").flatten();
     let mut codes = Vec::new();
     let mut surprising = Vec::new();
-    let cells = files("faulty").chain(files("rules"));
+    let cells = ["faulty", "faulty/inside", "rules"].into_iter().flat_map(files);
     for entry in cells.filter(|entry| entry.path().extension().is_some_and(|name| name == "cell")) {
         let text = std::fs::read_to_string(entry.path()).expect("a cell file");
         let first = text.lines().next().unwrap_or_default();

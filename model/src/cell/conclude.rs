@@ -106,6 +106,7 @@ fn bare(kind: Kind, place: Option<(TaskId, Address)>, check: Option<usize>, caus
         others: Vec::new(),
         cause,
         at_ticks: 0,
+        ranges: Vec::new(),
         moves: Vec::new(),
         steps: Vec::new(),
         chart: String::new(),

@@ -87,6 +87,7 @@ pub use story::drawn;
 pub use svg::svg;
 pub use values::Tried;
 pub use verdict::{
-    Concerned, Coverage, Finding, Kind, ManyValues, Phase, Refused, Step, TaskView, Unfinished, Verdicts,
+    Concerned, Coverage, Finding, Kind, ManyValues, Phase, Refused, Step, TaskView, TimeRange, Timed,
+    Unfinished, Verdicts,
 };
-pub use zones::compare_zones_with_walks;
+pub use zones::{compare_ranges_with_runs, compare_zones_with_walks};

@@ -73,6 +73,7 @@ pub(super) fn finding(
         others: told.others,
         cause: told.cause,
         at_ticks: told.ticks,
+        ranges: Vec::new(),
         moves,
         steps: told.steps,
         chart: told.chart,

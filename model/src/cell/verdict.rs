@@ -5,7 +5,7 @@ use super::run_state::CellMove;
 use super::values::Tried;
 use crate::chart::Note;
 use imrs_protocol::script::Address;
-use imrs_protocol::{PortId, TaskId};
+use imrs_protocol::{NodeId, PortId, TaskId};
 use serde::{Deserialize, Serialize};
 
 /// The kind of a finding.
@@ -99,6 +99,59 @@ pub struct Concerned {
     pub does: String,
 }
 
+/// Something on a path that takes an uncertain time.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Timed {
+    /// An action of a task.
+    Action {
+        /// The task.
+        task: TaskId,
+        /// The name of the action.
+        name: String,
+    },
+    /// A packet on a link.
+    Packet {
+        /// The port of its message.
+        port: PortId,
+        /// The node that sends the packet over the link.
+        from: NodeId,
+        /// The node at which the packet arrives.
+        to: NodeId,
+    },
+}
+
+/// The times, in ticks, that an action or a packet takes when a path happens. Each of these times is possible, some only together with certain
+/// times of other actions and packets.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TimeRange {
+    /// What takes the time.
+    pub timed: Timed,
+    /// The least time.
+    pub least: u64,
+    /// The greatest time; `None`: the action need not end.
+    pub most: Option<u64>,
+    /// The least time that the cell declares. The next field has the greatest.
+    pub declared_least: u64,
+    /// The greatest time that the cell declares.
+    pub declared_most: Option<u64>,
+    /// Whether the action or the packet is over at the finding.
+    pub has_ended: bool,
+}
+
+impl TimeRange {
+    /// The declared time next to `ticks`: the longer or (`false`) the shorter one; `None` if there is none.
+    pub(super) fn beyond(&self, ticks: u64, is_longer: bool) -> Option<u64> {
+        let next = if is_longer { ticks.checked_add(1) } else { ticks.checked_sub(1) };
+        next.filter(|&next| next >= self.declared_least && self.declared_most.is_none_or(|most| next <= most))
+    }
+
+    /// Whether the path excludes a declared time.
+    #[must_use]
+    pub fn is_narrowed(&self) -> bool {
+        (self.least, self.most) != (self.declared_least, self.declared_most)
+    }
+}
+
 /// Something that is wrong, and the shortest path to it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Finding {
@@ -130,6 +183,10 @@ pub struct Finding {
     pub cause: String,
     /// Ticks from the start to the finding.
     pub at_ticks: u64,
+    /// For which times of its actions and packets the same path happens: the uncertain times in the order in which they end, and then
+    /// those that have not ended at the finding. Only a search by zones tells them; empty if they are not known.
+    #[serde(default)]
+    pub ranges: Vec<TimeRange>,
     /// The moves that lead to the finding. They can be replayed with the same plan.
     pub moves: Vec<CellMove>,
     /// The steps of the path: the same moves, with what they show.

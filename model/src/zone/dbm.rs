@@ -165,6 +165,12 @@ impl Dbm {
 
     /// A point of the set. Its first value is that of the variable zero.
     pub fn point(&self) -> Vec<i64> {
+        self.point_by(|least, most| least.or(most).unwrap_or(0))
+    }
+
+    /// A point of the set. `pick` chooses each value between the least and the greatest one that the earlier values leave; `None`
+    /// stands for no such bound.
+    pub fn point_by(&self, mut pick: impl FnMut(Option<i64>, Option<i64>) -> i64) -> Vec<i64> {
         let mut values = vec![0];
         for i in 1..self.len {
             let known = || values.iter().enumerate();
@@ -172,7 +178,7 @@ impl Dbm {
             let most = known().filter_map(|(j, &value)| Some(value + self.bound(i, j)?)).min();
             // Any value within the bounds that the earlier values leave can be completed to a point, because the matrix is
             // closed.
-            values.push(least.or(most).unwrap_or(0));
+            values.push(pick(least, most));
         }
         values
     }

@@ -3,6 +3,8 @@
 //! A run is not copied at a fork. Instead, the code runs again from the start with the same answers up to the fork (as loom
 //! does with schedules). So the code must depend on nothing but the answers.
 
+pub(crate) mod guided;
+
 use super::dbm::{Dbm, Empty};
 use super::times::{Times, symbol_of};
 use imrs_protocol::Ticks;

@@ -1,6 +1,6 @@
 //! Picks times for a path that the search by zones found, and replays the path on plain ticks.
 
-use super::runner::{From, Run};
+use super::runner::{From, Run, puts_off};
 use super::search::{Hit, Search, is_sampled};
 use super::store::Origin;
 use crate::cell::judge::Shown;
@@ -15,9 +15,9 @@ use crate::zone::forks::again;
 use std::sync::Arc;
 
 /// A part of a path: some moves, and then ticks in which nothing happens.
-struct Leg {
-    moves: Vec<CellMove>,
-    silent: u64,
+pub(super) struct Leg {
+    pub moves: Vec<CellMove>,
+    pub silent: u64,
 }
 
 /// The finding, with moves on plain ticks that lead to it; `None` if no such moves were found.
@@ -123,9 +123,9 @@ fn rerun(search: &mut Search, state: Option<u32>, answers: &[u16]) -> Option<(Ru
 }
 
 /// A replay of a path on plain ticks.
-struct Replay {
+pub(super) struct Replay {
     cell: Unpacked,
-    moves: Vec<CellMove>,
+    pub moves: Vec<CellMove>,
     /// The tick up to which time has passed on the path.
     until: u64,
     /// The findings of the last move.
@@ -134,7 +134,7 @@ struct Replay {
 
 impl Replay {
     /// Replays the legs of a path; `None` if some move is not possible.
-    fn of(plan: &Arc<CellPlan>, (phase, faults): (Phase, &CellFaults), legs: &[Leg]) -> Option<Self> {
+    pub fn of(plan: &Arc<CellPlan>, (phase, faults): (Phase, &CellFaults), legs: &[Leg]) -> Option<Self> {
         let mut cell = Unpacked::new(plan, phase, faults);
         let mut replay = Self { last: cell.shown(), cell, moves: Vec::new(), until: 0 };
         for leg in legs {
@@ -152,17 +152,18 @@ impl Replay {
     }
 
     /// Whether the last move shows this finding.
-    fn shows(&self, shown: &Shown) -> bool {
+    pub fn shows(&self, shown: &Shown) -> bool {
         let waits = [false, true].into_iter().filter_map(|goes_on| for_ever(&self.cell.run_state, goes_on));
         self.last.iter().cloned().chain(waits).any(|last| last.is_same(shown))
     }
 
-    /// Makes a move if it is possible; otherwise returns `None`.
+    /// Makes a move, before which other actions and packets may be put off; `None` if it is not possible.
     fn take(&mut self, step: CellMove) -> Option<()> {
         let mut moves = Vec::new();
         self.cell.run_state.moves(&mut moves);
         if !moves.contains(&step) {
-            return None;
+            self.take(*moves.iter().find(|&&step| puts_off(step))?)?;
+            return self.take(step);
         }
         self.cell.take(step);
         self.moves.push(step);
@@ -187,9 +188,7 @@ impl Replay {
                     return Some(());
                 }
             } else {
-                let goes_on = |step: &&CellMove| matches!(step, CellMove::GoOn(..) | CellMove::Stay(_));
-                let step = *moves.iter().find(goes_on)?;
-                self.take(step)?;
+                self.take(*moves.iter().find(|&&step| puts_off(step))?)?;
             }
         }
     }

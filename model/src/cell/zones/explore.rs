@@ -1,6 +1,7 @@
 //! Makes the result of a search by zones.
 
 use super::concrete;
+use super::ranges::ranges;
 use super::runner::Runner;
 use super::search::Search;
 use crate::cell::done::Done;
@@ -42,7 +43,10 @@ fn explore_with(
     let mut told: Vec<Finding> = Vec::new();
     for hit in &hits {
         match concrete::told(plan, (phase, hypothesis), faults, &mut search, hit) {
-            Some(finding) => told.push(finding),
+            Some(finding) => {
+                let ranges = ranges(plan, (phase, faults), &finding.moves, &hit.shown);
+                told.push(Finding { ranges, ..finding });
+            }
             None => {
                 let what =
                     format!("{} is not found at plain times: {}", hit.shown.kind.name(), hit.shown.cause);

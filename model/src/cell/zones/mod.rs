@@ -7,7 +7,10 @@
 //!   search    expands kept states
 //!   still     finds standstills among the kept states
 //!   concrete  picks times for a path, and replays it on plain ticks
+//!   fixed     runs a cell with a fixed time for each action and packet
+//!   ranges    computes for which times the path to a finding happens
 //!   explore   tells what a search found
+//!   within    makes runs at times within the ranges of a finding, for tests
 //!   walked    looks up the states of random walks among the kept zones, for tests
 //! ```
 //!
@@ -22,15 +25,19 @@
 
 mod concrete;
 mod explore;
+mod fixed;
+mod ranges;
 mod reduce;
 mod runner;
 mod search;
 mod still;
 mod store;
 mod walked;
+mod within;
 
 pub(super) use explore::explore;
 pub use walked::compare_zones_with_walks;
+pub use within::compare_ranges_with_runs;
 
 use super::plan::{CellFaults, CellPlan};
 use imrs_protocol::rules::Rules;

@@ -73,7 +73,7 @@ impl Run {
 }
 
 /// Whether a move puts off the end of an action or the arrival of a packet. Such a move is no event.
-const fn puts_off(step: CellMove) -> bool {
+pub(super) const fn puts_off(step: CellMove) -> bool {
     matches!(step, CellMove::GoOn(..) | CellMove::Stay(_))
 }
 
