@@ -74,7 +74,8 @@ impl Rounding {
     pub const ALL: [Self; 5] = [Self::First, Self::Up, Self::Down, Self::Otherwise, Self::Charged];
 }
 
-/// How the time of an input is rounded to ticks, by task and position of the input's group among the task's groups.
+/// How the times of inputs are rounded to ticks. A recorded input and what followed from it are a *group*. The key is the
+/// task, and the position of the input's group among the groups of that task.
 pub(super) type Roundings = BTreeMap<(usize, usize), Rounding>;
 
 /// A run that the model has followed up to some input.
