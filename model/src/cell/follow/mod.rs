@@ -74,8 +74,7 @@ impl Rounding {
     pub const ALL: [Self; 5] = [Self::First, Self::Up, Self::Down, Self::Otherwise, Self::Charged];
 }
 
-/// How the times of inputs are rounded to ticks. A recorded input and what followed from it are a *group*. The key is the
-/// task, and the position of the input's group among the groups of that task.
+/// How inputs' times are rounded, by task and position of the input's group (an input with what followed from it).
 pub(super) type Roundings = BTreeMap<(usize, usize), Rounding>;
 
 /// A run that the model has followed up to some input.
