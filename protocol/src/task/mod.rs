@@ -138,8 +138,7 @@ impl CommTask {
                 return;
             }
         }
-        // The request of an activation that waits is answered by a signal. The task gets at most one signal for an input, so
-        // no waiting message is offered to it then.
+        // A request of a waiting activation gets its signal below; an offer before it would be a second signal.
         let answered = matches!(input, Input::Request(_)) && !self.is_idle();
         self.due = None;
         let Self { own, machines, .. } = self;
