@@ -36,17 +36,26 @@ fn statement(word: &str) -> Option<&'static str> {
     find(STATEMENTS, word).or_else(|| find(DECLARATIONS, word))
 }
 
+/// Whether a word begins a line of another language.
+pub(crate) fn is_known(word: &str) -> bool {
+    statement(word).is_some()
+}
+
 /// The advice for a word of another language in a place where a declaration is expected.
 pub(crate) fn declaration(word: &str) -> &'static str {
-    find(DECLARATIONS, word).unwrap_or(
+    declared(word).unwrap_or(
         "begin with the keyword of a declaration: `node n1;`, `task arm on n1 ..`; statements belong into a task",
     )
 }
 
 /// The advice for a word of another language in front of a task's `begin`.
 pub(crate) fn in_task(word: &str) -> &'static str {
-    let otherwise = "declare ports and variables here, and write `begin` in front of statements";
-    find(DECLARATIONS, word).unwrap_or(otherwise)
+    declared(word).unwrap_or("declare ports and variables here, and write `begin` in front of statements")
+}
+
+/// What to write in place of a declaration of another language, or of a statement that a program may have outside.
+fn declared(word: &str) -> Option<&'static str> {
+    find(DECLARATIONS, word).or_else(|| find(STATEMENTS, word))
 }
 
 /// What to write in place of a type of another language.
@@ -59,7 +68,7 @@ fn find(rows: &[Row], word: &str) -> Option<&'static str> {
     rows.iter().find(|(words, _)| words.contains(&lower.as_str())).map(|(_, help)| *help)
 }
 
-const NO_ARRAYS: &str = "there are no arrays: write a variable for each, or a record";
+pub(crate) const NO_ARRAYS: &str = "there are no arrays: write a variable for each, or a record";
 
 const STATEMENTS: &[Row] = &[
     (&["for", "foreach", "repeat", "until"], "loops are written `loop ... end;` and `while ... do ... end;`"),
@@ -81,7 +90,10 @@ const STATEMENTS: &[Row] = &[
         "`waitfor p() on time_out do ... end;` waits until all its tasks have arrived",
     ),
     (
-        &["movel", "movej", "movec", "moveabsj", "ptp", "lin", "circ", "spl", "spline", "move"],
+        &[
+            "movel", "movej", "movec", "moveabsj", "ptp", "lin", "circ", "spl", "spline", "move", "ptp_rel",
+            "lin_rel", "movetox", "velset", "accset",
+        ],
         "a motion is an action: `run move_to x, y takes 1..2 sec;`, and a driver carries it out",
     ),
     (
@@ -106,19 +118,30 @@ const STATEMENTS: &[Row] = &[
         "one task owns what other tasks need; they ask it: `query p() -> ok on time_out do ... end;`",
     ),
     (
-        &["publish", "emit", "put"],
+        &["publish", "emit", "put", "post", "write", "sendto", "notify", "signal", "broadcast"],
         "`send p(x);` sends on a port of the task, `use_send p(x);` on a port that it uses",
     ),
-    (&["await", "async", "yield", "spin", "spin_once"], "a statement waits by itself: `receive p(x);`"),
+    (&["await", "yield", "spin", "spin_once", "rate"], "a statement waits by itself: `receive p(x);`"),
     (
         &["spawn", "fork", "thread", "go", "join"],
         "a task is declared in the file; what it shares with others it sends",
     ),
     (
-        &["ton", "tof", "tp"],
+        &["ton", "tof", "tp", "timer", "create_timer", "settimer"],
         "`start t 4 sec;` starts a timer; `on expiry t do ... end;` is called at its end",
     ),
-    (&["let", "def", "decl", "local"], "variables stand in front of `begin`: `var x: int16;`"),
+    (
+        &["incr", "decr", "inc", "dec", "add", "clear", "assign"],
+        "a variable is changed by an assignment: `n := n + 1;`",
+    ),
+    (
+        &["halt", "stopmove", "startmove", "exitcycle", "brake", "systemstopaction"],
+        "`abort \"why\";` ends a task; a motion is stopped by its driver, when the action is cut short",
+    ),
+    (
+        &["recv", "take", "listen", "poll", "select", "accept", "read", "get", "input"],
+        "`receive p(x);` waits for a message; a handler takes one at any time: `on receive p(x) do ... end;`",
+    ),
 ];
 
 const DECLARATIONS: &[Row] = &[
@@ -127,31 +150,108 @@ const DECLARATIONS: &[Row] = &[
         "there are no constants: write the value, or a variable that the body sets first",
     ),
     (
-        &["procedure", "proc", "function", "func", "fn", "function_block", "sub", "method", "routine"],
+        &[
+            "procedure",
+            "proc",
+            "function",
+            "func",
+            "fun",
+            "fn",
+            "def",
+            "async",
+            "lambda",
+            "function_block",
+            "sub",
+            "method",
+            "routine",
+        ],
         "there are no procedures: write the statements where they run, or an action (`run NAME;`)",
     ),
     (
-        &["program", "process", "thread", "class", "main"],
+        &[
+            "program",
+            "process",
+            "class",
+            "main",
+            "proctype",
+            "active",
+            "actor",
+            "agent",
+            "component",
+            "robot",
+            "device",
+            "controller",
+            "public",
+        ],
         "what a robot does is a task: `task arm on n1 begin ... end arm;`",
     ),
     (
-        &["import", "include", "using", "package", "module"],
+        &[
+            "import",
+            "from",
+            "include",
+            "require",
+            "using",
+            "package",
+            "namespace",
+            "module",
+            "rclpy",
+            "rclcpp",
+        ],
         "a cell is one file; a module is declared at a task: `task arm on n1 module arms`",
     ),
-    (&["struct", "record", "typedef", "dut"], "`type Pose is record x: int16; end;` declares a record"),
+    (
+        &["struct", "record", "typedef", "dut", "message", "msg", "interface"],
+        "`type Pose is record x: int16; end;` declares a record",
+    ),
     (
         &["enum", "enumeration"],
         "there are no enumerations: write numbers, and say in a comment what they mean",
     ),
     (&["array", "list", "vector"], NO_ARRAYS),
     (
-        &["topic", "publisher", "subscriber", "service", "channel", "chan"],
+        &[
+            "topic",
+            "publisher",
+            "subscriber",
+            "subscription",
+            "service",
+            "client",
+            "channel",
+            "chan",
+            "queue",
+            "mailbox",
+            "create_publisher",
+            "create_service",
+            "create_client",
+        ],
         "messages go through ports: `port p(x: int16) usage = send user_list = {arm} time_out = 50 msec;` in a task",
     ),
     (
-        &["int", "dint", "integer", "bool", "float", "double", "real", "string", "num", "variable"],
+        &[
+            "int",
+            "dint",
+            "integer",
+            "bool",
+            "float",
+            "double",
+            "real",
+            "string",
+            "num",
+            "variable",
+            "let",
+            "decl",
+            "dim",
+            "auto",
+            "local",
+            "global",
+            "declare_parameter",
+        ],
         "variables stand in a task in front of `begin`: `var x: int16;`",
     ),
+    (&["action"], "an action needs no declaration: `run NAME;` in a task carries it out"),
+    (&["host", "computer", "station", "plc", "machine"], "a computer is a node: `node n1;`"),
+    (&["network", "bus", "wire", "cable"], "two nodes are joined by a link: `link n1 -- n2 delay 5 msec;`"),
 ];
 
 const TYPES: &[Row] = &[
@@ -179,6 +279,14 @@ const TYPES: &[Row] = &[
         "declare it: `type Pose is record x: int16; y: int16; end;`",
     ),
     (&["time", "duration", "clock"], "a time stands where it is used: `delay 200 msec;`"),
+    (
+        &["ton", "tof", "tp", "timer"],
+        "a timer is no variable: `start t 4 sec;` starts it, `on expiry t do ... end;` handles its end",
+    ),
+    (
+        &["semaphore", "mutex", "lock"],
+        "a task owns what others need, and they ask it: there is nothing to lock",
+    ),
     (
         &["pointer", "ref", "any", "object", "void"],
         "there is no such type: a message is a copy of its fields",

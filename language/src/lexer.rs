@@ -299,7 +299,13 @@ fn not_known(text: &str, span: Span) -> Diagnostic {
     if first.is_alphabetic() {
         return found.help("names are made of the letters a to z, digits and `_`");
     }
-    found.help("outside of comments and texts the language uses plain ASCII")
+    found.help(match first {
+        '#' => "a comment begins with `//`; a cell is one file, and includes no other",
+        '$' => "signals of a robot belong to its driver: `run NAME;` sets an output, `run NAME -> x;` reads an input",
+        '?' => "choices are written `if ... then ... else ... end;`",
+        '^' => "there is no power: write the factors, `x * x`",
+        _ => "outside of comments and texts the language uses plain ASCII",
+    })
 }
 
 fn open_comment(span: Span) -> Diagnostic {

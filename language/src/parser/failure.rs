@@ -3,6 +3,7 @@
 use super::Tokens;
 use crate::codes::{MISSPELT, OPERATOR, RESERVED, SEMICOLON, UNEXPECTED};
 use crate::diagnostic::Diagnostic;
+use crate::foreign;
 use crate::lexer::Kind;
 use crate::span::Span;
 use crate::words::Word;
@@ -147,6 +148,9 @@ pub(super) fn unexpected(expected: &[Expected], found: &Found<'_>, end: &str) ->
     {
         return reserved(found.span, found.text);
     }
+    if let Some(foreign) = foreign_line(expected, found, end) {
+        return foreign;
+    }
     let wanted = in_words(expected, end);
     let what = found.describe();
     if wanted.is_empty() {
@@ -154,12 +158,46 @@ pub(super) fn unexpected(expected: &[Expected], found: &Found<'_>, end: &str) ->
             .help("remove it");
     }
     let diagnostic = Diagnostic::error(UNEXPECTED, found.span, format!("expected {wanted}, found {what}"));
-    let help = if can_end && !starts_anew {
+    let help = if let Some(help) = foreign_sign(expected, found.kind, end) {
+        help.to_owned()
+    } else if can_end && !starts_anew {
         "write `;` here, or remove what follows".replace("`;`", &format!("`{end}`"))
     } else {
         format!("write {wanted} here")
     };
     diagnostic.label(format!("expected {wanted}")).help(help)
+}
+
+/// The diagnostic for a line of another language behind the head of a task, or for its kind of type behind `is`.
+fn foreign_line(expected: &[Expected], found: &Found<'_>, end: &str) -> Option<Diagnostic> {
+    let wants_record = expected.contains(&Expected::Token(Kind::Word(Word::Record)));
+    let (wanted, help) = match found.kind {
+        Some(Kind::Name) if found.first_of_line && end == "begin" => {
+            ("`port`, `use_port`, `var` or `begin`", foreign::in_task(found.text))
+        }
+        Some(Kind::Name) if wants_record && foreign::is_known(found.text) => {
+            ("`record`", foreign::declaration(found.text))
+        }
+        _ => return None,
+    };
+    let message = format!("expected {wanted}, found {}", found.describe());
+    Some(Diagnostic::error(UNEXPECTED, found.span, message).help(help))
+}
+
+/// What to write in place of a sign of another language that the grammar did not expect.
+fn foreign_sign(expected: &[Expected], found: Option<Kind>, end: &str) -> Option<&'static str> {
+    match (found?, end) {
+        (Kind::BracketOpen, _) => Some(foreign::NO_ARRAYS),
+        (Kind::BraceOpen, "then") => Some("write `then`, and `end;` in place of `}`"),
+        (Kind::BraceOpen, "do") => Some("write `do`, and `end;` in place of `}`"),
+        (Kind::Equal | Kind::Assign, ";") => Some(
+            "an assignment is a statement behind `begin`: `x := 1;`; a variable is zero or `false` at first",
+        ),
+        (Kind::ParenOpen, _) if expected.contains(&Expected::Token(Kind::Assign)) => {
+            Some("there are no methods: an action outside is carried out by `run NAME x;`")
+        }
+        _ => None,
+    }
 }
 
 /// Whether the grammar would have accepted a name.

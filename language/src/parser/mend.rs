@@ -4,6 +4,7 @@
 use super::failure::misspelt;
 use crate::codes::STRAY_END;
 use crate::diagnostic::Diagnostic;
+use crate::foreign;
 use crate::lexer::{Kind, Token};
 use crate::report::Report;
 use crate::source::Source;
@@ -49,7 +50,9 @@ pub(super) fn mend(tokens: &mut [Token], source: &Source, report: &mut Report) {
 
 fn begins_line(tokens: &[Token], index: usize, region: Region, source: &Source) -> bool {
     let follows = tokens.get(index + 1).map(|(kind, _)| *kind);
-    if matches!(follows, Some(Kind::Assign | Kind::Dot | Kind::Equal | Kind::Colon | Kind::BracketOpen)) {
+    let behind_variables =
+        [Kind::Assign, Kind::Dot, Kind::Equal, Kind::Colon, Kind::BracketOpen, Kind::Plus, Kind::Link];
+    if follows.is_some_and(|kind| behind_variables.contains(&kind)) {
         return false;
     }
     let Some((before, place)) = index.checked_sub(1).map(|index| tokens[index]) else { return true };
@@ -67,6 +70,9 @@ fn begins_line(tokens: &[Token], index: usize, region: Region, source: &Source) 
 
 /// The keyword that was probably meant, and the diagnostic about the misspelling.
 fn meant(text: &str, span: Span, region: Region, index: usize) -> Option<(Word, Diagnostic)> {
+    if foreign::is_known(text) {
+        return None; // The parser says what to write in place of this word.
+    }
     let near = |among: &[Word]| Word::near(text, among).map(|word| (word, misspelt(span, text, word)));
     match region {
         Region::Record => None,

@@ -90,9 +90,9 @@ impl Leaves for Thread<'_, '_> {
     fn call(&mut self, of: &Place, argument: &Name, span: Span) -> Option<Typed> {
         let [port, word] = &of.path[..] else {
             self.report(
-                Diagnostic::error(TYPES, of.span, "no such question")
-                    .label("`p.answered(t)`, `p.refused(t)`, `p.told(t)` or `p.field(t)`")
-                    .help("name a port and what is asked about it"),
+                Diagnostic::error(TYPES, of.span, "neither a function nor a question about a port")
+                    .label("`trunc(r)`, `p.answered(t)`, `p.refused(t)`, `p.told(t)` or `p.field(t)`")
+                    .help("another function is an action: `run NAME x -> y;`, and a driver computes it"),
             );
             return None;
         };

@@ -105,6 +105,8 @@ fn types_of_other_languages_are_explained() {
         ("array", "record"),
         ("robtarget", "record"),
         ("duration", "delay"),
+        ("TON", "start"),
+        ("mutex", "owns"),
     ];
     for (other, ours) in types {
         let text = format!(

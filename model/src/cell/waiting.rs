@@ -43,7 +43,7 @@ fn closed(run_state: &RunState, goes_on: bool) -> Vec<bool> {
     closed
 }
 
-/// The finding of the tasks of the set that wait for each other.
+/// A finding if some of the tasks `alive` wait for each other.
 fn ring(run_state: &RunState, mut alive: Vec<bool>, goes_on: bool) -> Option<Shown> {
     let n = alive.len();
     // A helper of a waiting task is any task that could still send the message for which it waits.

@@ -152,7 +152,8 @@ impl Body {
         let last = self.activations.len() - 1;
         for (i, activation) in self.activations.iter_mut().enumerate() {
             let most = match activation.does {
-                // A handler suspends the service below it, while an action goes on.
+                // A handler stops the service that it interrupts, so only the innermost service grows older. An action
+                // goes on while a handler runs.
                 Does::Serves if i == last => bound(plan.service),
                 Does::Works => match plan.errand {
                     Errand::Work { least, most, .. } => bound((least, most)),

@@ -32,7 +32,8 @@ pub(super) struct Needs {
     pub state: u16,
     /// The longest state of a node, when each node has the shortest of its texts.
     pub shortest_state: u16,
-    /// The longest state of a node with sparklines after it; and when each node has the shortest of its texts.
+    /// Two widths of the longest state that has sparklines behind it: with the usual texts, and if each node shows the shortest
+    /// of its texts.
     pub sparks: (u16, u16),
     pub health: u16,
 }

@@ -13,7 +13,7 @@ pub(crate) enum RunBy {
     TheThreadOfFutures,
 }
 
-/// The position of a communication task of the node.
+/// Where a communication task of the node is: in which domain, and at which position there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Home {
     // These numbers are short because a home goes along with each packet. A cell has at most 65,536 tasks.
@@ -46,7 +46,7 @@ impl Home {
 pub(crate) struct Homes {
     /// The home of each task of the cell; `None` for tasks of other nodes.
     of_task: Box<[Option<Home>]>,
-    /// The home of each task of the node, ascending by task.
+    /// The home of each task of the node, in the order of the tasks.
     of_place: Box<[Home]>,
 }
 
@@ -83,7 +83,7 @@ impl Homes {
         self.of_task.get(task.index()).copied().flatten()
     }
 
-    /// The home of the task at a place of the node.
+    /// The home of the task with the position `place` among the tasks of the node.
     pub fn at(&self, place: usize) -> Home {
         self.of_place[place]
     }

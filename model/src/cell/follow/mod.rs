@@ -74,7 +74,7 @@ impl Rounding {
     pub const ALL: [Self; 5] = [Self::First, Self::Up, Self::Down, Self::Otherwise, Self::Charged];
 }
 
-/// How the time of an input is rounded to ticks, by task and position of the input's group among the task's groups.
+/// How inputs' times are rounded, by task and position of the input's group (an input with what followed from it).
 pub(super) type Roundings = BTreeMap<(usize, usize), Rounding>;
 
 /// A run that the model has followed up to some input.

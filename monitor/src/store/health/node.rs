@@ -143,7 +143,8 @@ pub(super) fn unlike(store: &Store, cell: &Name, now: Moment, found: &mut Vec<Fi
     }
 }
 
-/// The nodes whose value is not more frequent than another one: each with its value and the most frequent other one.
+/// The nodes that are not in the majority: some other value is at least as frequent as theirs. Each comes with its own value
+/// and the most frequent other one.
 fn minorities<'a, T: Ord + Clone>(
     nodes: &[&'a NodeIncarnation],
     of: impl Fn(&NodeIncarnation) -> T,
