@@ -4,10 +4,9 @@
 //! variable, and each comparison has the answer that the plain path gave. The zone of this run has all times at which the same
 //! moves are possible at these instants. To put off the end of an action or the arrival of a packet is no such move.
 
-use super::concrete::at_every_tick;
 use super::fixed::{Number, Numbers, Timing, moves_with};
 use crate::cell::judge::{Shown, judge, nothing_reached};
-use crate::cell::plan::{CellFaults, CellPlan};
+use crate::cell::plan::{CellFaults, CellPlan, Times};
 use crate::cell::run_state::{CellMove, RunState};
 use crate::cell::verdict::{Phase, TimeRange, Timed};
 use crate::cell::waiting::for_ever;
@@ -48,7 +47,7 @@ pub(super) fn ranges(
     moves: &[CellMove],
     shown: &Shown,
 ) -> Vec<TimeRange> {
-    let plan = &at_every_tick(plan);
+    let plan = &plan.timed(Times::Every);
     let of = |moves: &[CellMove], end| {
         let instants = instants(plan, faults, moves)?;
         along(|guide| {

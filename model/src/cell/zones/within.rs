@@ -1,11 +1,11 @@
 //! Makes random runs at times within the ranges of a finding, for tests.
 
-use super::concrete::{Leg, Replay, at_every_tick};
+use super::concrete::{Leg, Replay};
 use super::ranges::{Instant, Path, instants};
 use crate::cell::guard::Disagreement;
 use crate::cell::judge::Shown;
 use crate::cell::outside::with_programs;
-use crate::cell::plan::CellPlan;
+use crate::cell::plan::{CellPlan, Times};
 use crate::cell::run_state::CellMove;
 use crate::cell::verdict::{Finding, Kind, Phase};
 use crate::zone::dbm::Dbm;
@@ -24,7 +24,7 @@ pub fn compare_ranges_with_runs(
     runs: u32,
     draw: &mut dyn FnMut(usize) -> usize,
 ) -> Result<u64, Disagreement> {
-    let plan = &at_every_tick(&with_programs(plan));
+    let plan = &with_programs(plan).timed(Times::Every);
     let faults = plan.faults.get(finding.hypothesis).filter(|_| finding.phase == Phase::Faults).cloned();
     let (phase, faults) = (finding.phase, faults.unwrap_or_default());
     let kind = if finding.kind == Kind::Starves { Kind::TimeOut } else { finding.kind };
