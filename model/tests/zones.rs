@@ -295,7 +295,7 @@ fn examples_are_found_the_same_by_zones() {
             continue;
         }
         let text = std::fs::read_to_string(&path).expect("a cell");
-        let one = compare(&path.display().to_string(), &mut Text::new(&text), 5 * states());
+        let one = compare(&path.display().to_string(), &mut Text::new(&text), 12 * states());
         println!("{}: {one:?}", path.display());
         compared += u64::from(one.is_some());
     }

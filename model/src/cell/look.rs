@@ -110,20 +110,20 @@ fn look_at_all_times(
     done
 }
 
-/// Searches once, by zones or at plain ticks. `says_what_is_left`: also finds out what makes the search large if a budget
+/// Searches once, by zones or at plain ticks. `says_what_is_large`: also finds out what makes the search large if a budget
 /// ends it, which takes time.
 fn explore(
     plan: &Arc<CellPlan>,
     phase: (Phase, usize),
     faults: &CellFaults,
     progress: &dyn SearchProgress,
-    says_what_is_left: bool,
+    says_what_is_large: bool,
 ) -> Done {
     if plan.times == Times::Zones {
         progress.started(phase, Times::Zones);
         return zones::explore(plan, phase, faults, progress);
     }
-    search::explore(plan, phase, faults, progress, says_what_is_left)
+    search::explore(plan, phase, faults, progress, says_what_is_large)
 }
 
 /// Most nodes, links and tasks in one search: a bit for each node and each direction of a link, a byte for a task.

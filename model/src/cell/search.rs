@@ -65,16 +65,16 @@ pub(super) fn explore_and_keep(plan: &Arc<CellPlan>, phase: Phase, faults: &Cell
     Kept { seen: search.seen, states: coverage.states, complete: coverage.complete, hits, findings, reached }
 }
 
-/// Searches a phase. `says_what_is_left`: if a budget ends the search, also finds out what makes it large, which takes time.
+/// Searches a phase. `says_what_is_large`: if a budget ends the search, also finds out what makes it large, which takes time.
 pub(super) fn explore(
     plan: &Arc<CellPlan>,
     phase: (Phase, usize),
     faults: &CellFaults,
     progress: &dyn SearchProgress,
-    says_what_is_left: bool,
+    says_what_is_large: bool,
 ) -> Done {
     let (search, mut done) = search(plan, phase, faults, progress);
-    if says_what_is_left {
+    if says_what_is_large {
         done.coverage.unfinished = unfinished::of(plan, faults, &search.sample, search.queue.len());
     }
     done

@@ -106,6 +106,13 @@ impl Walk for Encode<'_> {
         self.number_of_ticks(&mut left);
     }
 
+    #[cfg(feature = "checker")]
+    fn derived(&mut self, instant: &mut Instant, _: impl FnOnce() -> Instant) {
+        if self.is_symbolic {
+            self.instant(instant);
+        }
+    }
+
     #[inline]
     fn length(&mut self, length: &mut Ticks) {
         #[cfg(feature = "checker")]
@@ -224,6 +231,15 @@ impl Walk for Decode<'_> {
         }
         self.number_of_ticks(&mut left);
         *instant = Instant::START + left;
+    }
+
+    #[cfg(feature = "checker")]
+    fn derived(&mut self, instant: &mut Instant, derive: impl FnOnce() -> Instant) {
+        if self.is_symbolic {
+            self.instant(instant);
+        } else {
+            *instant = derive();
+        }
     }
 
     #[inline]

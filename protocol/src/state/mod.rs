@@ -53,6 +53,16 @@ pub trait Walk {
         let _ = instant;
     }
 
+    /// Visits an instant that follows from others on the same clock. As a number it is not packed: a pass that reads calls
+    /// `derive` instead. As a symbol it is packed, because `derive` may ask much of the zone.
+    fn derived(&mut self, instant: &mut Instant, derive: impl FnOnce() -> Instant) {
+        if Self::READS {
+            *instant = derive();
+        } else if !Self::PACKS {
+            self.instant(instant);
+        }
+    }
+
     /// Visits a round of a port.
     fn round(&mut self, port: PortId, round: &mut Round) {
         let _ = (port, round);

@@ -13,8 +13,8 @@ use crate::ticks::{Instant, Ticks};
 /// The receiver of the effects of [`CommTask::handle`](crate::CommTask::handle). A driver carries them out after `handle` has
 /// returned.
 pub trait Outbox {
-    /// Whether the packets of a rendezvous are wanted. In a fused step of all its members, nobody takes them, and the task does not
-    /// make them.
+    /// Whether the outbox wants the packets of a rendezvous. The outbox of a fused step of all members does not, and the task then
+    /// makes none.
     const TRANSMITS: bool = true;
 
     /// Hands a packet of the task to the route layer.

@@ -43,7 +43,13 @@ impl Rendezvous {
         let Some(deadline) = self.deadline else { return };
         // The instant of the next ARRIVE counts back from the deadline, so that the last copies leave at fixed distances
         // from the deadline (D55).
-        self.resend_at = Self::resend_instant(deadline, now, at.port.decl.resend);
+        let period = at.port.decl.resend;
+        self.resend_at = match self.resend_at + period {
+            // This is what `resend_instant` computes, too. With symbolic times its quotient asks the zone much more.
+            next if self.resend_at == now && next < deadline => next,
+            _ if self.resend_at == now => Instant::NEVER,
+            _ => Self::resend_instant(deadline, now, period),
+        };
         if !O::TRANSMITS {
             return;
         }

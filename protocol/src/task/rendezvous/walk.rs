@@ -68,13 +68,11 @@ impl Rendezvous {
         if brings {
             w.arguments(arguments);
         }
-        if W::READS {
+        w.derived(resend_at, || {
             let period = table.port(port).map_or(Ticks::FAR, |port| port.decl.resend);
             let again = |deadline| Self::resend_instant(deadline, Instant::START, period);
-            *resend_at = deadline.map_or(Instant::NEVER, again);
-        } else if !W::PACKS {
-            w.instant(resend_at);
-        }
+            deadline.map_or(Instant::NEVER, again)
+        });
         members.iter_mut().for_each(|member| member.walk(port, unread, w));
     }
 }
