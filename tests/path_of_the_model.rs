@@ -82,9 +82,10 @@ fn welds_with_faults_are_paths_of_the_model() {
         let run = Recorded::of(WELD, &[how, fault].concat(), all_of(until));
         let Some(told) = path_of(&run) else { return };
         let lost = told["lost"].as_array().expect("links");
-        // On a late machine r1 may lose its lease before the fault comes, and then its heartbeats end.
-        let too_late =
-            run.said.find("has lost the lease").is_some_and(|at| run.said[at..].contains(" s fault: n"));
+        // On a late machine r1 may lose its lease before the fault comes, or get none in time, and then there are no heartbeats
+        // that the fault could take.
+        let too_late = number(&told, "late_at_most") > 100
+            || run.said.find("has lost the lease").is_some_and(|at| run.said[at..].contains(" s fault: n"));
         assert!(too_late || !lost.is_empty(), "{fault:?}: {told}");
     });
 }
