@@ -103,8 +103,8 @@ impl Subject {
             args::Times::Every => Times::Every,
             args::Times::Zones => Times::Zones,
         };
-        // A search by zones takes no longer if the ticks are finer. It covers no pauses and no drift.
-        let is_by_zones = plan.faults.iter().all(|faults| faults.pause.is_empty() && faults.drift == 0);
+        // A search by zones takes no longer if the ticks are finer.
+        let is_by_zones = !plan.faults.iter().any(CellFaults::disturb_time);
         if plan.times == Times::Zones || plan.times == Times::Auto && is_by_zones {
             plan.step = 1;
         }

@@ -119,11 +119,10 @@ fn explore(
     progress: &dyn SearchProgress,
     says_what_is_large: bool,
 ) -> Done {
-    if plan.times == Times::Zones {
-        progress.started(phase, Times::Zones);
-        return zones::explore(plan, phase, faults, progress);
+    match plan.times {
+        Times::Zones => zones::explore(plan, phase, faults, progress),
+        _ => search::explore(plan, phase, faults, progress, says_what_is_large),
     }
-    search::explore(plan, phase, faults, progress, says_what_is_large)
 }
 
 /// Most nodes, links and tasks in one search: a bit for each node and each direction of a link, a byte for a task.

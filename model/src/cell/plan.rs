@@ -79,7 +79,13 @@ impl CellFaults {
     /// Whether independent parts may be searched one by one: not if clocks may drift or nodes may pause, because drifts and
     /// pauses happen between events of the whole cell.
     pub(super) const fn may_be_apart(&self) -> bool {
-        self.drift == 0 && self.pause.is_empty()
+        !self.disturb_time()
+    }
+
+    /// Whether clocks may drift or nodes may pause. A search by zones does not cover these faults.
+    #[must_use]
+    pub const fn disturb_time(&self) -> bool {
+        self.drift > 0 || !self.pause.is_empty()
     }
 
     /// Whether a lookup by the fault budgets may miss the kept state that covers a state. A search omits the loss of a packet that no

@@ -23,6 +23,7 @@ pub(in crate::cell) fn explore(
     progress: &dyn SearchProgress,
 ) -> Done {
     let start = Instant::now();
+    progress.started(of, plan.times);
     let (done, is_certain) = explore_with(plan, plan.zones, of, faults, (start, progress));
     if is_certain { done } else { explore_with(plan, usize::MAX, of, faults, (start, progress)).0 }
 }
