@@ -17,7 +17,7 @@ pub use cell::{CheckArgs, ExplainArgs, FmtArgs, GraphArgs, Picture};
 pub use export::{ExportArgs, ExportForm};
 pub use keygen::KeygenArgs;
 pub use monitor::MonitorArgs;
-pub use run::{DemoArgs, LaunchArgs, ReplayArgs, RunArgs};
+pub use run::{DemoArgs, LaunchArgs, ReplayArgs, RunArgs, SummaryArgs};
 pub use simulate::{STEPS, SimulateArgs};
 pub use unit::UnitArgs;
 pub use verify::{CellFaultArgs, Times, VerifyArgs, VerifyVerb};
@@ -200,11 +200,26 @@ Examples:
   imrs run cell.cell --loss 10% --kill hoist@2s       with faults
   imrs run cell.cell --kill hoist@2s --restart hoist@3s  and started again
   imrs run cell.cell --node nl --rt                   one node, on its robot
+  imrs run cell.cell --node nl --report nl.json       to `imrs summary cell.cell *.json`
   imrs run cell.cell --observe 127.0.0.1:7100         watched over TCP, too
   imrs run cell.cell --observe 0.0.0.0:7100 --observe-token FILE  by who has the file
   imrs run cell.cell --action 'grip=./grip --hard'    a robot's own command
   imrs run cell.cell --record run.imrs                to `imrs replay run.NODE.imrs --cell cell.cell`")]
     Run(RunArgs),
+    /// Make one summary of a cell whose nodes ran on several machines.
+    ///
+    /// Each machine runs its node with `imrs run CELL --node NAME --report FILE`. Copy the files to one machine, and name all of them
+    /// here. If a node was started several times, each start has a file.
+    ///
+    /// The summary and the exit code are those of a run on one machine, with two differences: the machines share no clock, so
+    /// there is no start skew, and a check about tasks of several machines is not judged. Then, or if a node has no report, the answer
+    /// is `incomplete`, with exit code 5.
+    #[command(after_help = "\
+Examples:
+  imrs run line.cell --node feeding --report feeding.json      on each machine, with its node
+  imrs summary line.cell feeding.json pressing.json watching.json
+  imrs summary line.cell *.json --format json | jq '.commands'")]
+    Summary(SummaryArgs),
     /// Print a systemd unit that runs one node of a cell, and starts it again after a failure or a reboot.
     ///
     /// The unit runs this program with `run CELL --node NAME` and the options behind `--`, as the user of --user. `imrs

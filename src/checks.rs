@@ -13,7 +13,7 @@ pub fn show(checks: &Settlement, out: &mut Output) -> Result<(), Failure> {
         let style = match check.outcome {
             Outcome::Held => GOOD,
             Outcome::Broken => BAD,
-            Outcome::Untested | Outcome::Elsewhere | Outcome::Unknown => NOTE,
+            Outcome::Untested | Outcome::Elsewhere | Outcome::Apart | Outcome::Unknown => NOTE,
         };
         out.line(format!("  check {} (line {}): {}", check.name, check.line, Styled(style, check.words())))?;
         if let Some(first) = &check.first {

@@ -29,6 +29,7 @@ mod panics;
 mod replay;
 mod run;
 mod simulate;
+mod summary;
 mod time;
 mod token;
 mod unit;
@@ -142,6 +143,7 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
         Verb::Graph(args) => graph::run(&args, &mut out),
         Verb::Keygen(args) => keygen::run(&args, &mut out),
         Verb::Run(args) => run::run(&args, &mut out),
+        Verb::Summary(args) => summary::run(&args, &mut out),
         Verb::Unit(args) => unit::run(&args, &mut out),
         Verb::Demo(args) => demo::run(&args, &mut out),
         Verb::Monitor(args) => monitor::run(args, cli.color, &mut out),

@@ -3,7 +3,7 @@
 mod drive;
 mod lines;
 mod plan;
-mod report;
+pub mod report;
 mod service;
 
 pub use drive::run as launch;
@@ -12,6 +12,7 @@ pub use plan::{DemoPlan, Moment, Planned, plan};
 use crate::args::{LaunchArgs, RunArgs};
 use crate::exit::Exit;
 use crate::failure::Failure;
+use crate::kept;
 use crate::names::did_you_mean;
 use crate::output::Output;
 use imrs_client::{cell_file, keys, place};
@@ -113,6 +114,9 @@ pub fn chosen(loaded: &Loaded, args: &LaunchArgs) -> Result<Option<NodeId>, Fail
     }
     if let Some(only) = only {
         place::address(loaded, only).map_err(LaunchError::from)?;
+    }
+    if let Some(report) = &args.report {
+        kept::check(report, args.force)?;
     }
     recordings_are_free(loaded, only, args)?;
     Ok(only)

@@ -24,6 +24,8 @@ fn every_verb_explains_itself_with_an_example() {
         "bench",
         "completions",
         "keygen",
+        "summary",
+        "unit",
         "man",
     ];
     for verb in verbs {

@@ -62,6 +62,68 @@ fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_
     }
 }
 
+/// The text of a summary as JSON, and the exit code.
+fn summed_up(bench: &Bench, args: &[&str]) -> (Option<i32>, Value, String) {
+    let said = run_in(bench.0.path(), &[&["summary"], args, &["--format", "json"]].concat());
+    (said.code, serde_json::from_str(&said.out).unwrap_or_default(), said.err)
+}
+
+#[test]
+fn the_reports_of_nodes_that_ran_apart_give_one_summary() {
+    let bench = Bench::that_waits(8);
+    let cell = placed(&bench, None);
+    let [a, b] = ["na", "nb"].map(|node| bench.0.path().join(format!("{node}.json")));
+    let [a, b] = [&a, &b].map(|path| path.to_str().expect("UTF-8"));
+    let start = |node: &str, report: &str| {
+        let args = ["run", &cell, "--node", node, "--for", "10m", "--report", report];
+        Program::start(imrs(bench.0.path(), &args))
+    };
+    let (other, own) = (start("nb", b), start("na", a));
+    let own = own.finish();
+    other.interrupt();
+    let other = other.finish();
+    assert_eq!((own.code, other.code), (Some(0), Some(0)), "{own:?} {other:?}");
+
+    let (code, both, err) = summed_up(&bench, &[&cell, a, b]);
+    let names: Vec<_> = both["nodes"].as_array().expect("nodes").iter().map(|node| &node["name"]).collect();
+    assert_eq!(names, ["na", "nb"], "{both}");
+    let ask = port(&both, "ask");
+    assert_eq!(
+        (number(&ask["sent"]), number(&ask["delivered"])),
+        (5, 5),
+        "each end counts its own part: {ask}"
+    );
+    let meet = &both["rendezvous"][0];
+    assert_eq!((&meet["false_releases"], &meet["start_skew_us"]), (&0.into(), &Value::Null), "{meet}");
+    assert!(number(&meet["released"]) > 0 && number(&meet["unknown"]) == 0, "{meet}");
+    let judged = both["incomplete"].as_array().is_some_and(Vec::is_empty);
+    assert_eq!(code, Some(if judged { 0 } else { 5 }), "{both} {err}");
+    let text = run_in(bench.0.path(), &["summary", &cell, a, b]);
+    assert!(text.out.contains("false releases: 0") && text.out.contains("  node nb "), "{text:?}");
+
+    let (code, one, err) = summed_up(&bench, &[&cell, a]);
+    assert_eq!((code, &one["rendezvous"][0]["false_releases"]), (Some(5), &Value::Null), "{one}");
+    assert!(err.contains("incomplete: node nb has no report"), "{err}");
+
+    // What cannot be used is refused by name, and nothing is replaced.
+    let text = std::fs::read_to_string(&cell).expect("the cell");
+    let changed = format!("{cell}.changed");
+    std::fs::write(&changed, text.replace("delay 1 msec", "delay 2 msec")).expect("a cell");
+    for (args, words) in [
+        ([&*changed, a], "na.json: is a report of another cell: its declarations differ"),
+        ([&*cell, &*cell], "placed.cell: is no report of a run"),
+        ([&*cell, "gone.json"], "gone.json: "),
+    ] {
+        let (code, _, err) = summed_up(&bench, &args);
+        assert!(code == Some(2) && err.contains(words), "{args:?}: {err}");
+    }
+    let again = start("na", a).finish();
+    assert!(
+        again.code == Some(2) && again.err.contains("na.json") && again.err.contains("--force"),
+        "{again:?}"
+    );
+}
+
 #[test]
 fn a_node_without_a_place_to_run_is_told_what_is_missing() {
     let bench = Bench::new();

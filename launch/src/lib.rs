@@ -39,19 +39,21 @@ pub mod words;
 
 pub use error::LaunchError;
 pub use faults::Fault;
+pub use folds::attendance::Attended;
+pub use folds::joined::join;
 pub use folds::links::{SecuritySummary, link_warnings};
+pub use folds::report::{AfterKill, NodeReport, Report, ReportError, TaskSummary};
 pub use folds::rounds::Rounds;
+pub use folds::spans::Spans;
 pub use folds::spread::Spread;
 pub use folds::story::Story;
-pub use folds::summary::{
-    AfterKill, NodeSummary, Outcome, PortSummary, RendezvousSummary, Summary, TaskSummary,
-};
+pub use folds::summary::{NodeSummary, Outcome, PortSummary, RendezvousSummary, Summary};
 pub use folds::timeline::{Line, Telling};
 pub use folds::trouble::Trouble;
 pub use host::Host;
 pub use launcher::{Ended, Launcher, StartedNode, Verdict};
 pub use node::{NodeError, rt, run_process as run_node};
-pub use pipe::{Outcomes, RefusalFigures};
+pub use pipe::{Figures, Outcomes, RefusalFigures};
 pub use run::{Keys, Moment, Run};
 pub use setups::record_file;
 pub use signals::Interrupts;

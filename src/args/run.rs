@@ -89,13 +89,34 @@ pub struct LaunchArgs {
     /// name.
     #[arg(long, value_name = "FILE")]
     pub record: Option<PathBuf>,
-    /// Replace existing files that have the names of the recordings.
-    #[arg(long, requires = "record")]
+    /// Write what this node reports into a file, at the end of the run. `imrs summary` makes one summary from the files of
+    /// all machines.
+    #[arg(long, value_name = "FILE", requires = "node", conflicts_with_all = ["kill", "restart"])]
+    pub report: Option<PathBuf>,
+    /// Replace existing files that have the names of the recordings or of the report.
+    #[arg(long)]
     pub force: bool,
     /// The seed of the lost packets and of the times of simulated actions [default: from the clock].
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
     /// The form of the answer; in JSON the last line is the summary.
+    #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
+    pub format: Format,
+}
+
+/// The arguments of `imrs summary`.
+#[derive(Args, Clone, Debug)]
+pub struct SummaryArgs {
+    /// The cell file that the machines ran.
+    #[arg(value_name = "CELL")]
+    pub cell: PathBuf,
+    /// The reports of the machines.
+    #[arg(value_name = "FILE", required = true)]
+    pub files: Vec<PathBuf>,
+    /// The machines ran the cell with `--paper`.
+    #[arg(long)]
+    pub paper: bool,
+    /// The form of the answer.
     #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
     pub format: Format,
 }

@@ -7,6 +7,7 @@ use super::service::Service;
 use crate::args::{Format, LaunchArgs};
 use crate::exit::Exit;
 use crate::failure::Failure;
+use crate::kept;
 use crate::node::NodeProgram;
 use crate::output::{Output, Untaken, complain, count, notice};
 use imrs_launch::{Launcher, Run, StartedNode, rt};
@@ -61,8 +62,13 @@ pub fn run(
     let summary = &ended.summary;
     let shown = match args.format {
         Format::Json => out.json(summary),
-        Format::Text => report::summary(summary, &run, args, demo, out),
+        Format::Text => report::summary(summary, &run.loaded.table, Some((args, demo)), out),
     };
+    // A report that cannot be written must not keep the summary from being shown.
+    let reported = args
+        .report
+        .as_deref()
+        .map_or(Ok(()), |path| kept::keep_text(path, args.force, &ended.report.text(run.loaded)));
     let interrupted = interrupts.count();
     let untaken = out.settle(READ_WITHIN, || interrupts.count() > interrupted);
     for trouble in &ended.trouble {
@@ -74,6 +80,7 @@ pub fn run(
     let exit = Exit::from(ended.verdict());
     let is_written = told(&untaken);
     followed.and(shown)?;
+    reported?;
     Ok(if exit == Exit::Well && !is_written { Exit::Usage } else { exit })
 }
 

@@ -97,18 +97,16 @@ fn faults(args: &LaunchArgs, seed: u64) -> Vec<String> {
     faults
 }
 
-/// Prints the summary of a run.
+/// Prints the summary of a run. `asked` has the options of the run, if they are known.
 ///
 /// # Errors
 /// [`Failure::Output`].
 pub fn summary(
     summary: &Summary,
-    run: &Run<'_>,
-    args: &LaunchArgs,
-    demo: Option<DemoPlan>,
+    table: &CellTable,
+    asked: Option<(&LaunchArgs, Option<DemoPlan>)>,
     out: &mut Output,
 ) -> Result<(), Failure> {
-    let table = &run.loaded.table;
     out.line(Styled(HEAD, format!("After {:.1} s", summary.seconds)))?;
     for rendezvous in &summary.rendezvous {
         meetings(rendezvous, out)?;
@@ -129,7 +127,7 @@ pub fn summary(
     for missing in &summary.incomplete {
         out.line(Styled(NOTE, format!("  incomplete: {missing}")))?;
     }
-    let words = in_words(summary, table, args, demo);
+    let words = in_words(summary, table, asked);
     if !words.is_empty() {
         out.line("")?;
     }
@@ -174,7 +172,7 @@ fn meetings(rendezvous: &RendezvousSummary, out: &mut Output) -> Result<(), Fail
         grouped(r.divergent),
     );
     if r.unknown > 0 {
-        line += &format!(", {} unknown (a killed node's last reports are missing)", grouped(r.unknown));
+        line += &format!(", {} unknown (reports of a member are missing)", grouped(r.unknown));
     }
     out.line(line)?;
     match rendezvous.false_releases {
@@ -189,6 +187,7 @@ fn meetings(rendezvous: &RendezvousSummary, out: &mut Output) -> Result<(), Fail
             span(skew.p99),
             span(skew.max)
         )),
+        None if r.released > 0 => out.line("    start skew: not known, because the machines share no clock"),
         None => out.line("    start skew: no task started"),
     }
 }
@@ -289,9 +288,13 @@ fn listed(counts: &BTreeMap<String, u64>) -> String {
 }
 
 /// The events of the run, in sentences.
-fn in_words(summary: &Summary, table: &CellTable, args: &LaunchArgs, demo: Option<DemoPlan>) -> Vec<String> {
+fn in_words(
+    summary: &Summary,
+    table: &CellTable,
+    asked: Option<(&LaunchArgs, Option<DemoPlan>)>,
+) -> Vec<String> {
     let mut words = Vec::new();
-    if summary.checks.is_broken() {
+    if let Some((args, demo)) = asked.filter(|_| summary.checks.is_broken()) {
         words.push(match &args.record {
             Some(_) => "Whether links and nodes were in time, as the cell declares them: `imrs replay` with `--model`.".into(),
             None => "With --record, `imrs replay` with `--model` says whether links and nodes were in time.".into(),
@@ -339,7 +342,7 @@ fn in_words(summary: &Summary, table: &CellTable, args: &LaunchArgs, demo: Optio
             span(after.after_kill_us),
         ));
     }
-    if args.loss.0 > 0.0 && summary.ports.iter().any(|p| p.resent > 0) {
+    if summary.loss > 0.0 && summary.ports.iter().any(|p| p.resent > 0) {
         let again: u64 = summary.ports.iter().map(|p| p.resent).sum();
         words.push(format!(
             "Lost packets were made up for by {} within the same time_outs.",

@@ -4,10 +4,10 @@ use super::Broken;
 use super::vouch::Doubt;
 use crate::cells::Loaded;
 use crate::words::{count, span};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// The verdict on a check.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
     /// The check held.
@@ -18,17 +18,19 @@ pub enum Outcome {
     Untested,
     /// A task of the check runs on a node that this run does not observe.
     Elsewhere,
+    /// The tasks of the check ran on several machines. These share no clock, so it is unknown which values were true at once.
+    Apart,
     /// A task of the check reported nothing, or its values were unknown for some time.
     Unknown,
 }
 
 /// The verdicts on all checks of a cell.
-#[derive(Clone, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Settlement(pub Vec<Settled>);
 
 /// The verdict on one check, with its details.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Settled {
     /// The name of the check.
     pub name: String,
@@ -52,7 +54,7 @@ pub struct Settled {
 }
 
 /// For how long it is unknown whether a check held.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Unvouched {
     /// For how long in all it is unknown, in seconds.
     seconds: f64,
@@ -89,7 +91,7 @@ impl Unvouched {
 }
 
 /// The first time at which a check was broken.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct First {
     /// The time of the break, in seconds since the run began.
     pub seconds: f64,
@@ -139,13 +141,30 @@ impl Settled {
         Self { name, line, outcome, mattered, times, first, elsewhere, unvouched, text }
     }
 
+    /// Adds the verdict of another machine, or of another start of the same one. The worse verdict counts.
+    fn join(&mut self, other: &Self) {
+        let rank = |settled: &Self| match settled.outcome {
+            Outcome::Elsewhere | Outcome::Apart => 0,
+            Outcome::Untested => 1,
+            Outcome::Held => 2,
+            Outcome::Unknown => 3,
+            Outcome::Broken => 4,
+        };
+        let came = [self.mattered, other.mattered].into_iter().flatten().reduce(|one, other| one + other);
+        let times = self.times + other.times;
+        if rank(other) > rank(self) {
+            *self = other.clone();
+        }
+        (self.mattered, self.times) = (came, times);
+    }
+
     /// Whether the check held; `None` if that is unknown.
     #[must_use]
     pub const fn held(&self) -> Option<bool> {
         match self.outcome {
             Outcome::Held | Outcome::Untested => Some(true),
             Outcome::Broken => Some(false),
-            Outcome::Elsewhere | Outcome::Unknown => None,
+            Outcome::Elsewhere | Outcome::Apart | Outcome::Unknown => None,
         }
     }
 
@@ -166,6 +185,7 @@ impl Settled {
                 let task = self.elsewhere.as_deref().unwrap_or("?");
                 format!("not evaluated here: `{task}` runs elsewhere")
             }
+            Outcome::Apart => "not evaluated: its tasks ran on several machines, which share no clock".into(),
             Outcome::Unknown => match &self.unvouched {
                 Some(unvouched) => unvouched.words(),
                 None => "not evaluated: one of its tasks reported nothing".into(),
@@ -181,6 +201,28 @@ impl Settled {
 }
 
 impl Settlement {
+    /// The verdicts of several machines together. A check is judged on the machine that runs all of its tasks.
+    pub(crate) fn joined<'a>(all: impl Iterator<Item = &'a Self>) -> Self {
+        let mut joined: Vec<Settled> = Vec::new();
+        for settled in all.flat_map(|settlement| &settlement.0) {
+            match joined.iter_mut().find(|known| known.name == settled.name && known.line == settled.line) {
+                Some(known) => known.join(settled),
+                None => joined.push(settled.clone()),
+            }
+        }
+        Self(joined)
+    }
+
+    /// Notes that all machines have reported: a check that none of them has judged stays open. Returns one line for each such check.
+    pub(crate) fn mark_apart(&mut self) -> Vec<String> {
+        let elsewhere = self.0.iter_mut().filter(|settled| settled.outcome == Outcome::Elsewhere);
+        let apart = |settled: &mut Settled| {
+            settled.outcome = Outcome::Apart;
+            format!("check {} (line {}) was {}", settled.name, settled.line, settled.words())
+        };
+        elsewhere.map(apart).collect()
+    }
+
     /// The complaints about broken checks, one line each.
     pub fn complaints(&self) -> impl Iterator<Item = String> {
         self.0.iter().filter_map(Settled::complaint)

@@ -1,14 +1,15 @@
 //! Gathers the summary of a run from its facts.
 
-use super::links::{Alarm, SecuritySummary, link_summary};
-use super::summary::{AfterKill, NodeSummary, PortSummary, RendezvousSummary, Summary, TaskSummary};
+use super::attendance::waitfors;
+use super::links::Alarm;
+use super::report::{AfterKill, NodeReport, Report, TaskSummary};
+use super::summary::RendezvousSummary;
 use super::tally::Tally;
-use crate::checks::Settlement;
 use crate::fact::{Fact, Fold};
 use crate::faults::Fault;
-use crate::pipe::{Event, Figures, Outcomes, What, Word};
+use crate::pipe::{Event, Figures, What, Word};
 use crate::words::count;
-use imrs_protocol::{CellTable, NodeId, PortCounters, PortId, TaskId, Usage};
+use imrs_protocol::{CellTable, NodeId, PortId, TaskId};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -56,11 +57,10 @@ impl Fold for Gatherer {
 impl Gatherer {
     /// Makes the summary of a run of these nodes, before any report.
     pub fn new(table: Arc<CellTable>, here: Vec<NodeId>) -> Self {
-        let waitfors = table.ports().iter().filter(|port| port.decl.usage == Usage::Waitfor);
         let heard = |task: &TaskId| table.location(*task).is_some_and(|node| here.contains(&node));
         let tally =
             |port: &imrs_protocol::Port| Tally::new(port.parties.iter().map(|p| p.task).filter(heard));
-        let tallies = waitfors.map(|port| (port.id, tally(port))).collect();
+        let tallies = waitfors(&table).map(|port| (port.id, tally(port))).collect();
         let figures = table.cell().nodes.iter().map(|_| vec![Figures::default()]).collect();
         let alarms = vec![Alarm::default(); table.cell().nodes.len()];
         Self {
@@ -125,53 +125,43 @@ impl Gatherer {
         (!self.tallies.is_empty()).then(|| self.tallies.values().map(Tally::released).sum())
     }
 
-    /// Returns the summary. `exits` says how each node ended that this launcher ran.
-    pub fn summary(&self, seconds: f64, seed: u64, loss: f64, exits: &[(NodeId, String)]) -> Summary {
+    /// The report of the run so far, without the checks and problems. `exits` says how each node ended that this launcher ran.
+    pub fn report(&self, (seconds, seed, loss): (f64, u64, f64), exits: &[(NodeId, String)]) -> Report {
+        let cell = self.table.cell();
+        let node = |(node, exit): &(NodeId, String)| NodeReport {
+            name: cell.nodes[node.index()].name.clone(),
+            exit: exit.clone(),
+            incarnations: self.figures[node.index()].clone(),
+            alarms: self.alarms[node.index()].raised,
+        };
+        Report {
+            cell: cell.name.clone(),
+            seconds,
+            seed,
+            loss,
+            nodes: exits.iter().map(node).collect(),
+            tasks: self.ended.clone(),
+            after_kill: self.after_kill.clone(),
+            incomplete: self.untold().chain(self.cut_short()).chain(self.unrecorded()).collect(),
+            ..Report::default()
+        }
+    }
+
+    /// The outcomes of the waitfors.
+    pub fn rendezvous(&self) -> Vec<RendezvousSummary> {
         let all = self.here.len() == self.table.cell().nodes.len();
-        let rendezvous = self.tallies.iter().map(|(&port, tally)| {
+        let one = |(&port, tally): (&PortId, &Tally)| {
             let mut rounds = tally.rounds();
             let false_releases = all.then_some(rounds.false_releases);
             rounds.start_skew_us = rounds.start_skew_us.filter(|_| all);
             RendezvousSummary { port: self.port_name(port), rounds, false_releases }
-        });
-        let figures: Vec<Figures> =
-            self.figures.iter().map(|incarnations| over_incarnations(incarnations)).collect();
-        let node = |(node, exit): &(NodeId, String)| {
-            let figures = &figures[node.index()];
-            NodeSummary {
-                name: self.table.cell().nodes[node.index()].name.clone(),
-                exit: exit.clone(),
-                incarnations: self.figures[node.index()].len(),
-                forwarded: figures.forwarded,
-                discards: figures.discards.clone(),
-                link_discards: figures.link_discards.clone(),
-                link: figures.link.clone(),
-                links: figures.links.iter().map(|link| link_summary(&self.table, *node, link)).collect(),
-                security: SecuritySummary::new(&figures.link_discards, self.alarms[node.index()].raised),
-                refusals: figures.refusals.clone(),
-                lost_on_purpose: figures.lost_on_purpose,
-                cut_off: figures.cut_off,
-            }
         };
-        let mut commands = Outcomes::default();
-        figures.iter().for_each(|figures| commands += figures.outcomes);
-        Summary {
-            version: 1,
-            cell: self.table.cell().name.clone(),
-            seconds,
-            seed,
-            loss,
-            ports: self.ports(&figures),
-            rendezvous: rendezvous.collect(),
-            commands,
-            after_kill: self.after_kill.clone(),
-            tasks: self.ended.clone(),
-            nodes: exits.iter().map(node).collect(),
-            checks: Settlement::default(),
-            incomplete: self.untold().chain(self.cut_short()).chain(self.unrecorded()).collect(),
-            rt: false,
-            outcome: None,
-        }
+        self.tallies.iter().map(one).collect()
+    }
+
+    /// Whether events of nodes are missing.
+    pub fn is_partial(&self) -> bool {
+        !self.unheard.is_empty() || self.figures.iter().flatten().any(|figures| figures.untold > 0)
     }
 
     /// The nodes that could not report all events, one line each.
@@ -224,58 +214,24 @@ impl Gatherer {
         }
     }
 
-    fn ports(&self, figures: &[Figures]) -> Vec<PortSummary> {
-        let mut sums = vec![PortCounters::default(); self.table.ports().len()];
-        for &(task, port, mut counters) in figures.iter().flat_map(|f| &f.ports) {
-            let usage = self.table.port(port).and_then(|p| p.party(task)).map(|p| p.usage);
-            if matches!(usage, Some(Usage::Send | Usage::Query)) {
-                // At the sending end of a port, the counter of deliveries counts answers, so it is not added.
-                counters.delivered = 0;
-            }
-            if let Some(sum) = sums.get_mut(port.index()) {
-                add(sum, &counters);
-            }
-        }
-        let port = |(port, c): (&imrs_protocol::Port, PortCounters)| PortSummary {
-            name: port.decl.name.clone(),
-            usage: port.decl.usage.word(),
-            sent: c.sent,
-            resent: c.resent,
-            delivered: c.delivered,
-            expired: c.expired,
-            refused: c.refused,
-            timed_out: c.timed_out,
-            duplicates: c.duplicates,
-        };
-        self.table.ports().iter().zip(sums).map(port).collect()
-    }
-
     fn port_name(&self, port: PortId) -> String {
         self.table.port(port).map(|p| p.decl.name.clone()).unwrap_or_default()
     }
 }
 
-fn over_incarnations(incarnations: &[Figures]) -> Figures {
-    let mut sum = Figures::default();
-    incarnations.iter().for_each(|figures| sum.add(figures));
-    sum
-}
-
-fn add(sum: &mut PortCounters, more: &PortCounters) {
-    sum.sent += more.sent;
-    sum.resent += more.resent;
-    sum.delivered += more.delivered;
-    sum.expired += more.expired;
-    sum.refused += more.refused;
-    sum.timed_out += more.timed_out;
-    sum.duplicates += more.duplicates;
+#[cfg(test)]
+impl Gatherer {
+    /// The summary of the run so far.
+    pub fn summary(&self, counts: (f64, u64, f64), exits: &[(NodeId, String)]) -> super::summary::Summary {
+        super::summary::Summary::of(&self.table, &[self.report(counts, exits)], self.rendezvous())
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::cells::tests::beam_lift;
-    use imrs_protocol::Round;
+    use imrs_protocol::{PortCounters, Round};
 
     fn gatherer() -> Gatherer {
         Gatherer::new(Arc::clone(&beam_lift().table), [0, 1, 2].map(NodeId).to_vec())
@@ -314,7 +270,7 @@ mod tests {
         gatherer.revived(NodeId(1), 9);
         gatherer.figures(NodeId(1), &figures(3));
         let exits = [(NodeId(0), "clean".into()), (NodeId(1), "clean".into()), (NodeId(2), "killed".into())];
-        let summary = gatherer.summary(1.0, 7, 0.0, &exits);
+        let summary = gatherer.summary((1.0, 7, 0.0), &exits);
         assert_eq!(summary.ports[1].sent, 10);
         assert_eq!((summary.nodes[1].incarnations, summary.nodes[2].incarnations), (2, 1));
         assert_eq!(summary.nodes[2].exit, "killed");
@@ -328,7 +284,7 @@ mod tests {
     fn what_one_node_cannot_know_is_null() {
         let gatherer = Gatherer::new(Arc::clone(&beam_lift().table), vec![NodeId(1)]);
         let json =
-            serde_json::to_value(gatherer.summary(1.0, 7, 0.0, &[(NodeId(1), "clean".into())])).unwrap();
+            serde_json::to_value(gatherer.summary((1.0, 7, 0.0), &[(NodeId(1), "clean".into())])).unwrap();
         assert_eq!(json["nodes"].as_array().unwrap().len(), 1);
         assert_eq!(json["rendezvous"][0]["false_releases"], serde_json::Value::Null);
     }

@@ -1,6 +1,7 @@
 //! The outcomes of the rounds of a waitfor, as the summary shows them.
 
 use super::spread::Spread;
+use imrs_protocol::Round;
 use serde::Serialize;
 
 /// The outcomes of all rounds of one waitfor.
@@ -24,4 +25,18 @@ pub struct Rounds {
     /// The time between the starts of the first and the last member, in microseconds, over all rounds that released all
     /// members; `None` if there was no such round.
     pub start_skew_us: Option<Spread>,
+}
+
+/// The round of a member's last event, extended across the wrap of [`Round`].
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Wide(i64);
+
+impl Wide {
+    /// Extends a round number: the result is the possible value that is nearest to the member's last round.
+    pub fn count_on(&mut self, round: Round) -> i64 {
+        let last = Round(self.0.rem_euclid(1 << 16) as u16);
+        let (ahead, behind) = (round.steps_from(last), last.steps_from(round));
+        self.0 += if ahead <= behind { i64::from(ahead) } else { -i64::from(behind) };
+        self.0
+    }
 }

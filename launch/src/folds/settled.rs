@@ -1,6 +1,7 @@
 //! The sums over old rounds of a waitfor, which are no longer kept one by one. Such rounds are called settled.
 
 use super::rounds::Rounds;
+use super::spans::Spans;
 use super::spread::Spreading;
 use std::collections::BTreeMap;
 
@@ -15,8 +16,8 @@ pub struct Settled {
     /// The sums over the settled rounds, without the start skew, and without the false releases of the rounds in `doubtful`.
     pub sum: Rounds,
     pub skews: Spreading,
-    /// The settled rounds, as ranges without gaps: first round to last round.
-    pub spans: BTreeMap<i64, i64>,
+    /// The settled rounds.
+    pub spans: Spans,
     /// The newest settled round that released a member.
     pub released: Option<i64>,
     /// Settled rounds that look like false releases. For each of them: the members that had not announced the round, and the
@@ -27,28 +28,16 @@ pub struct Settled {
 impl Settled {
     /// Whether this round was settled.
     pub fn has(&self, round: i64) -> bool {
-        self.spans.range(..=round).next_back().is_some_and(|(_, &last)| round <= last)
+        self.spans.has(round)
     }
 
     /// Marks this round as settled.
     pub fn add(&mut self, round: i64) {
-        let (mut first, mut last) = (round, round);
-        if let Some((&before, &end)) = self.spans.range(..round).next_back()
-            && end + 1 == round
-        {
-            first = before;
-        }
-        if let Some(end) = self.spans.remove(&(round + 1)) {
-            last = end;
-        }
-        self.spans.insert(first, last);
+        self.spans.add(round);
         // No later event can name a round that is this old, so the oldest gap between settled rounds can be
         // closed.
-        if self.spans.len() > GAPS
-            && let Some((first, _)) = self.spans.pop_first()
-            && let Some((_, last)) = self.spans.pop_first()
-        {
-            self.spans.insert(first, last);
+        if self.spans.pieces() > GAPS {
+            self.spans.close_oldest_gap();
         }
     }
 

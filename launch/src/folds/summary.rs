@@ -1,9 +1,11 @@
 //! The summary of a run, in the form that `--format json` prints and keeps stable.
 
-use super::links::SecuritySummary;
+use super::links::{SecuritySummary, link_summary};
+use super::report::{AfterKill, NodeReport, Report, TaskSummary};
 use super::rounds::Rounds;
 use crate::checks::Settlement;
-use crate::pipe::{Outcomes, RefusalFigures};
+use crate::pipe::{Figures, Outcomes, RefusalFigures};
+use imrs_protocol::{CellTable, NodeId, Port, PortCounters, Usage};
 use imrs_wire::obs::LinkSummary;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -45,13 +47,97 @@ pub struct Summary {
     pub outcome: Option<Outcome>,
 }
 
-/// A script that ended by itself.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct TaskSummary {
-    /// The name of the script's task.
-    pub name: String,
-    /// How the script ended.
-    pub end: String,
+impl Summary {
+    /// Makes the summary from the reports of one launcher or of several. A node may be in several reports, each of another of
+    /// its starts.
+    #[must_use]
+    pub fn of(table: &CellTable, reports: &[Report], rendezvous: Vec<RendezvousSummary>) -> Self {
+        let nodes = nodes(table, reports);
+        let figures = nodes.iter().map(|(_, _, figures)| figures);
+        let mut commands = Outcomes::default();
+        figures.clone().for_each(|figures| commands += figures.outcomes);
+        Self {
+            version: 1,
+            cell: table.cell().name.clone(),
+            seconds: reports.iter().map(|report| report.seconds).fold(0.0, f64::max),
+            seed: reports.first().map_or(0, |report| report.seed),
+            loss: reports.iter().map(|report| report.loss).fold(0.0, f64::max),
+            ports: ports(table, figures),
+            rendezvous,
+            commands,
+            after_kill: reports.iter().flat_map(|report| report.after_kill.clone()).collect(),
+            tasks: reports.iter().flat_map(|report| report.tasks.clone()).collect(),
+            nodes: nodes
+                .iter()
+                .map(|(id, node, figures)| NodeSummary::of(table, *id, node, figures))
+                .collect(),
+            checks: Settlement::joined(reports.iter().map(|report| &report.checks)),
+            incomplete: reports.iter().flat_map(|report| report.incomplete.clone()).collect(),
+            rt: !reports.is_empty() && reports.iter().all(|report| report.rt),
+            outcome: None,
+        }
+    }
+}
+
+/// Each node of the reports, with what all its reports say together, and the counters of all its incarnations. The last
+/// report says how the node ended.
+fn nodes(table: &CellTable, reports: &[Report]) -> Vec<(NodeId, NodeReport, Figures)> {
+    let mut nodes: Vec<(NodeId, NodeReport, Figures)> = Vec::new();
+    for report in reports.iter().flat_map(|report| &report.nodes) {
+        let Some(id) = table.cell().nodes.iter().position(|node| node.name == report.name) else { continue };
+        let id = NodeId::from_index(id);
+        let at = nodes.iter().position(|(of, ..)| *of == id).unwrap_or_else(|| {
+            let NodeReport { name, exit, .. } = report.clone();
+            nodes.push((
+                id,
+                NodeReport { name, exit, incarnations: Vec::new(), alarms: 0 },
+                Figures::default(),
+            ));
+            nodes.len() - 1
+        });
+        let (_, node, figures) = &mut nodes[at];
+        report.incarnations.iter().for_each(|more| figures.add(more));
+        node.exit.clone_from(&report.exit);
+        node.incarnations.extend_from_slice(&report.incarnations);
+        node.alarms += report.alarms;
+    }
+    nodes
+}
+
+fn ports<'a>(table: &CellTable, figures: impl Iterator<Item = &'a Figures>) -> Vec<PortSummary> {
+    let mut sums = vec![PortCounters::default(); table.ports().len()];
+    for &(task, port, mut counters) in figures.flat_map(|figures| &figures.ports) {
+        let usage = table.port(port).and_then(|port| port.party(task)).map(|party| party.usage);
+        if matches!(usage, Some(Usage::Send | Usage::Query)) {
+            // At the sending end of a port, the counter of deliveries counts answers, so it is not added.
+            counters.delivered = 0;
+        }
+        if let Some(sum) = sums.get_mut(port.index()) {
+            add(sum, &counters);
+        }
+    }
+    let port = |(port, c): (&Port, PortCounters)| PortSummary {
+        name: port.decl.name.clone(),
+        usage: port.decl.usage.word(),
+        sent: c.sent,
+        resent: c.resent,
+        delivered: c.delivered,
+        expired: c.expired,
+        refused: c.refused,
+        timed_out: c.timed_out,
+        duplicates: c.duplicates,
+    };
+    table.ports().iter().zip(sums).map(port).collect()
+}
+
+fn add(sum: &mut PortCounters, more: &PortCounters) {
+    sum.sent += more.sent;
+    sum.resent += more.resent;
+    sum.delivered += more.delivered;
+    sum.expired += more.expired;
+    sum.refused += more.refused;
+    sum.timed_out += more.timed_out;
+    sum.duplicates += more.duplicates;
 }
 
 /// One port, summed over all its ends.
@@ -90,21 +176,6 @@ pub struct RendezvousSummary {
     pub false_releases: Option<u64>,
 }
 
-/// A task that gave up because a node was killed.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct AfterKill {
-    /// The killed node.
-    pub killed: String,
-    /// The task that waited for a task on the killed node.
-    pub task: String,
-    /// How long the task had waited, in microseconds: its time_out plus the lateness of this machine.
-    pub waited_us: u64,
-    /// The time_out of the waitfor, in microseconds.
-    pub time_out_us: u64,
-    /// The time from the kill to the instant at which the task gave up, in microseconds.
-    pub after_kill_us: u64,
-}
-
 /// The results of one node.
 #[derive(Clone, Debug, Serialize)]
 pub struct NodeSummary {
@@ -136,6 +207,23 @@ pub struct NodeSummary {
 }
 
 impl NodeSummary {
+    fn of(table: &CellTable, id: NodeId, node: &NodeReport, figures: &Figures) -> Self {
+        Self {
+            name: node.name.clone(),
+            exit: node.exit.clone(),
+            incarnations: node.incarnations.len(),
+            forwarded: figures.forwarded,
+            discards: figures.discards.clone(),
+            link_discards: figures.link_discards.clone(),
+            link: figures.link.clone(),
+            links: figures.links.iter().map(|link| link_summary(table, id, link)).collect(),
+            security: SecuritySummary::new(&figures.link_discards, node.alarms),
+            refusals: figures.refusals.clone(),
+            lost_on_purpose: figures.lost_on_purpose,
+            cut_off: figures.cut_off,
+        }
+    }
+
     /// Whether a link to this node was faulty, or too many datagrams came that no node of the cell sent.
     #[must_use]
     pub fn is_suspect(&self) -> bool {

@@ -1,10 +1,10 @@
 //! Counts the outcomes of the rounds of a waitfor, from the events that its members reported.
 
-use super::rounds::Rounds;
+use super::rounds::{Rounds, Wide};
 use super::settled::{Settled, falsely};
 use super::spread::Spreading;
 use crate::pipe::{Event, What};
-use imrs_protocol::{Round, TaskId};
+use imrs_protocol::TaskId;
 use std::collections::BTreeMap;
 
 /// The greatest number of rounds that are kept one by one. Older rounds are settled without waiting for further events.
@@ -26,8 +26,8 @@ pub struct Tally {
 #[derive(Clone, Debug)]
 struct Member {
     task: TaskId,
-    /// The round of the member's last event, extended across the wrap of [`Round`].
-    last: i64,
+    /// The round of the member's last event.
+    last: Wide,
     /// The last round that the member announced: the member said there that it had arrived.
     announced: i64,
     /// The last kill of the member's node. Events from just before the kill did not reach the launcher.
@@ -62,7 +62,8 @@ struct Meeting {
 impl Tally {
     /// Makes the tally of a waitfor of these tasks (at most 64), before any event.
     pub fn new(members: impl IntoIterator<Item = TaskId>) -> Self {
-        let member = |task| Member { task, last: 0, announced: i64::MIN, died: None, untold: false };
+        let member =
+            |task| Member { task, last: Wide::default(), announced: i64::MIN, died: None, untold: false };
         let members = members.into_iter().map(member).collect();
         Self { members, rounds: BTreeMap::new(), open: OPEN, first: None, settled: Settled::default() }
     }
@@ -71,7 +72,7 @@ impl Tally {
     pub fn take(&mut self, event: &Event) {
         let Some(place) = self.place(event.task) else { return };
         let member = &mut self.members[place];
-        let round = member.count_on(event.round);
+        let round = member.last.count_on(event.round);
         if event.what == What::Announced {
             member.announced = member.announced.max(round);
         }
@@ -297,16 +298,6 @@ enum End {
     Divergent,
     Unknown,
     Unfinished,
-}
-
-impl Member {
-    /// Extends a round number across the wrap: the result is the possible value that is nearest to the member's last round.
-    fn count_on(&mut self, round: Round) -> i64 {
-        let last = Round(self.last.rem_euclid(1 << 16) as u16);
-        let (ahead, behind) = (round.steps_from(last), last.steps_from(round));
-        self.last += if ahead <= behind { i64::from(ahead) } else { -i64::from(behind) };
-        self.last
-    }
 }
 
 #[cfg(test)]

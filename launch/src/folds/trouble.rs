@@ -3,10 +3,11 @@
 use crate::fact::{Fact, Fold};
 use crate::pipe::{EndSort, Word};
 use imrs_protocol::CellTable;
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// A problem that makes the run a finding, beyond those in its summary.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Trouble {
     /// Whether this program is at fault; if not, the cause lies outside of it.
     pub at_fault: bool,

@@ -6,6 +6,7 @@ use crate::children::End;
 use crate::clock::now_us;
 use crate::fact::Fact;
 use crate::faults::Fault;
+use crate::folds::report::Report;
 use crate::folds::story::{Events, Story};
 use crate::folds::summary::{NodeSummary, Outcome, Summary};
 use crate::folds::trouble::Trouble;
@@ -24,6 +25,8 @@ pub struct Ended<'a> {
     pub summary: Summary,
     /// The problems of the run that are not in its summary.
     pub trouble: Vec<Trouble>,
+    /// What this launcher reports, for the summary of all machines.
+    pub report: Report,
     events: Option<Events>,
 }
 
@@ -49,24 +52,31 @@ impl Ended<'_> {
         self.summary.outcome = story.map(|story| explain(&story));
     }
 
-    /// The verdict on the run. Broken promises are a finding, and so is a node that something other than the launcher
-    /// killed. The effects of injected faults are no finding.
+    /// The verdict on the run.
     #[must_use]
     pub fn verdict(&self) -> Verdict {
-        let summary = &self.summary;
+        Verdict::of(&self.summary, &self.trouble)
+    }
+}
+
+impl Verdict {
+    /// The verdict on a run from its summary and its problems. Broken promises are a finding, and so is a node that something
+    /// other than the launcher killed. The effects of injected faults are no finding.
+    #[must_use]
+    pub fn of(summary: &Summary, trouble: &[Trouble]) -> Self {
         let false_release = summary.rendezvous.iter().any(|r| r.false_releases.is_some_and(|n| n > 0));
         let broken = summary.outcome.as_ref().is_some_and(|outcome| outcome.held == Some(false))
             || summary.checks.is_broken();
-        if self.trouble.iter().any(|trouble| trouble.at_fault) {
-            Verdict::Fault
-        } else if false_release || broken || !self.trouble.is_empty() {
-            Verdict::Finding
+        if trouble.iter().any(|trouble| trouble.at_fault) {
+            Self::Fault
+        } else if false_release || broken || !trouble.is_empty() {
+            Self::Finding
         } else if summary.nodes.iter().any(NodeSummary::is_suspect) {
-            Verdict::Suspect
+            Self::Suspect
         } else if summary.incomplete.is_empty() {
-            Verdict::Well
+            Self::Well
         } else {
-            Verdict::Incomplete
+            Self::Incomplete
         }
     }
 }
@@ -85,15 +95,17 @@ impl<'a> Launcher<'a> {
         self.log.judge.settle();
         let Self { run, cell, log, .. } = self;
         let exits: Vec<(NodeId, String)> = ends.iter().map(|(node, end)| (*node, end.to_string())).collect();
-        let mut summary = log.gatherer.summary(seconds, run.seed, run.loss, &exits);
-        summary.rt = run.rt && !run.rt_refused;
-        summary.checks = log.judge.settlement(log.began);
-        summary.incomplete.extend(summary.checks.unjudged());
-        if log.judge.is_missing() && summary.incomplete.is_empty() {
-            summary
-                .incomplete
-                .push("changes that checks look at came faster than they could be judged".into());
+        let mut report = log.gatherer.report((seconds, run.seed, run.loss), &exits);
+        report.rt = run.rt && !run.rt_refused;
+        report.checks = log.judge.settlement(log.began);
+        report.incomplete.extend(report.checks.unjudged());
+        if log.judge.is_missing() && report.incomplete.is_empty() {
+            let words = "changes that checks look at came faster than they could be judged";
+            report.incomplete.push(words.into());
         }
+        report.attended = log.attendance.told(log.gatherer.is_partial());
+        let summary =
+            Summary::of(&run.loaded.table, std::slice::from_ref(&report), log.gatherer.rendezvous());
         let mut trouble = log.trouble.found();
         trouble.extend(ends.iter().filter_map(|(node, end)| {
             let what = format!("node `{}`: {end}", cell.nodes[node.index()].name);
@@ -105,7 +117,8 @@ impl<'a> Launcher<'a> {
             .flat_map(|node| node.refusals.iter().map(|refusal| refusal.words(&node.name)));
         let outside = refusals.chain(summary.checks.complaints());
         trouble.extend(outside.map(|what| Trouble { at_fault: false, what }));
-        Ended { loaded: run.loaded, summary, trouble, events: log.events }
+        report.trouble.clone_from(&trouble);
+        Ended { loaded: run.loaded, summary, trouble, report, events: log.events }
     }
 
     /// Stops the nodes. Returns how each node ended.
@@ -160,8 +173,9 @@ mod tests {
         let mut gatherer = Gatherer::new(Arc::clone(&loaded.table), [0, 1, 2].map(NodeId).to_vec());
         let ended = |gatherer: &Gatherer, trouble: &[Trouble]| Ended {
             loaded: &loaded,
-            summary: gatherer.summary(1.0, 7, 0.0, &[]),
+            summary: gatherer.summary((1.0, 7, 0.0), &[]),
             trouble: trouble.to_vec(),
+            report: Report::default(),
             events: None,
         };
         assert_eq!(ended(&gatherer, &[]).verdict(), Verdict::Well);
@@ -189,7 +203,7 @@ mod tests {
             let event = Event { at: 5, task: TaskId(task), port: lift.id, round: Round(1), what };
             gatherer.take(5, &Fact::Said(NodeId(0), Word::Event(event)));
         }
-        let summary = |gatherer: &Gatherer| gatherer.summary(1.0, 7, 0.0, &[]);
+        let summary = |gatherer: &Gatherer| gatherer.summary((1.0, 7, 0.0), &[]);
         assert_eq!(summary(&gatherer).rendezvous[0].false_releases, Some(1), "the hoist has not arrived");
         gatherer.take(6, &Fact::Unheard(NodeId(2)));
         assert_eq!(summary(&gatherer).rendezvous[0].false_releases, Some(0), "or that was not heard");

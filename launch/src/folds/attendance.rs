@@ -1,0 +1,224 @@
+//! Which rounds of a waitfor each member took part in. The reports of several machines have these sets, because the machines
+//! share no clock: the rounds have numbers, and so the sets of all members give the outcomes of the rounds.
+
+use super::rounds::{Rounds, Wide};
+use super::settled::falsely;
+use super::spans::Spans;
+use crate::fact::{Fact, Fold};
+use crate::pipe::{Event, What, Word};
+use imrs_protocol::{CellTable, NodeId, Port, PortId, TaskId, Usage};
+use serde::{Deserialize, Serialize};
+
+/// The greatest number of ranges that are kept of each set. If there are more, the oldest rounds are forgotten.
+const RANGES: usize = 4_096;
+/// A member counts its rounds from 0 when its node starts, modulo this number.
+const WRAP: i64 = 1 << 16;
+/// The greatest number of wraps between two members that is looked for: a month of ten rounds a second.
+const MOST_WRAPS: i64 = 400;
+
+/// The rounds of a waitfor in which a member took part.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Attended {
+    /// The waitfor's port.
+    pub port: PortId,
+    /// The member.
+    pub task: TaskId,
+    /// The rounds that the member announced: it said that it had arrived.
+    pub announced: Spans,
+    /// The rounds that released the member.
+    pub released: Spans,
+    /// The rounds that the member gave up.
+    pub gave_up: Spans,
+    /// The last round that was forgotten, if there were too many; so were all earlier ones.
+    pub forgotten: Option<i64>,
+    /// Whether events of the member are missing.
+    pub is_partial: bool,
+}
+
+impl Attended {
+    fn sets(&mut self) -> [&mut Spans; 3] {
+        [&mut self.announced, &mut self.released, &mut self.gave_up]
+    }
+
+    fn add(&mut self, round: i64, what: What) {
+        let [announced, released, gave_up] = self.sets();
+        match what {
+            What::Announced => announced.add(round),
+            What::Released => released.add(round),
+            What::GaveUp { .. } => gave_up.add(round),
+        }
+        let full = self.sets().into_iter().find(|set| set.pieces() > RANGES);
+        if let Some(upto) = full.and_then(|set| set.end_of_the_oldest()) {
+            self.sets().into_iter().for_each(|set| set.forget(upto));
+            self.forgotten = Some(upto);
+        }
+    }
+
+    /// The first and the last round of which this report tells.
+    fn told(&self) -> Option<(i64, i64)> {
+        let sets = [&self.announced, &self.released, &self.gave_up];
+        let (first, last) =
+            sets.into_iter().filter_map(Spans::ends).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
+        Some((self.forgotten.map_or(first, |forgotten| first.max(forgotten + 1)), last))
+    }
+
+    /// The same rounds, counted as `other` counts them: the wraps are those with which both were released in the most rounds.
+    fn counted_as(&self, other: &Spans) -> Self {
+        let common = |&wraps: &i64| (self.released.shifted(wraps * WRAP).common(other), -wraps.abs());
+        let wraps = self.released.ends().zip(other.ends()).and_then(|((first, last), (from, to))| {
+            let most = |apart: i64| (apart / WRAP).clamp(-MOST_WRAPS, MOST_WRAPS);
+            (most(from.saturating_sub(last))..=most(to.saturating_sub(first))).max_by_key(common)
+        });
+        let by = wraps.unwrap_or(0) * WRAP;
+        let [announced, released, gave_up] =
+            [&self.announced, &self.released, &self.gave_up].map(|set| set.shifted(by));
+        let forgotten = self.forgotten.map(|round| round + by);
+        Self { announced, released, gave_up, forgotten, ..*self }
+    }
+}
+
+/// Collects the rounds in which the members took part that report to this launcher.
+pub struct Attendance {
+    members: Vec<(Attended, Wide)>,
+    /// The end of the run: later events do not count, because tasks leave their waitfors when they are stopped.
+    end: u64,
+}
+
+impl Fold for Attendance {
+    fn take(&mut self, at: u64, fact: &Fact) {
+        match fact {
+            Fact::Said(_, Word::Event(event)) if event.at <= self.end => self.event(event),
+            Fact::Over => self.end = at,
+            _ => {}
+        }
+    }
+}
+
+impl Attendance {
+    /// Makes the empty sets for the tasks on these nodes.
+    pub fn new(table: &CellTable, here: &[NodeId]) -> Self {
+        let is_here = |task: TaskId| table.location(task).is_some_and(|node| here.contains(&node));
+        let of = |port: &Port| {
+            let (port, parties) = (port.id, port.parties.iter().map(|party| party.task));
+            parties.filter(|task| is_here(*task)).map(move |task| (port, task)).collect::<Vec<_>>()
+        };
+        let empty = |(port, task)| {
+            let [announced, released, gave_up] = std::array::from_fn(|_| Spans::default());
+            (
+                Attended { port, task, announced, released, gave_up, forgotten: None, is_partial: false },
+                Wide::default(),
+            )
+        };
+        Self { members: waitfors(table).flat_map(of).map(empty).collect(), end: u64::MAX }
+    }
+
+    fn event(&mut self, event: &Event) {
+        let mut members = self.members.iter_mut();
+        let is_it = |(of, _): &&mut (Attended, Wide)| of.port == event.port && of.task == event.task;
+        if let Some((attended, last)) = members.find(is_it) {
+            attended.add(last.count_on(event.round), event.what);
+        }
+    }
+
+    /// The rounds of each member. `is_partial`: events of nodes are missing.
+    pub fn told(self, is_partial: bool) -> Vec<Attended> {
+        self.members.into_iter().map(|(attended, _)| Attended { is_partial, ..attended }).collect()
+    }
+}
+
+/// The waitfors of a cell.
+pub fn waitfors(table: &CellTable) -> impl Iterator<Item = &Port> {
+    table.ports().iter().filter(|port| port.decl.usage == Usage::Waitfor)
+}
+
+/// The outcomes of the rounds of one waitfor, from what its members reported. A member may have several reports, each of another
+/// start of its node.
+pub fn outcomes(members: &[TaskId], reports: &[&Attended]) -> Rounds {
+    // The longest report gives the numbers of the rounds.
+    let longest = reports.iter().max_by_key(|report| report.released.common(&report.released));
+    let reports: Vec<Attended> = reports
+        .iter()
+        .map(|report| {
+            longest.map_or_else(|| (*report).clone(), |longest| report.counted_as(&longest.released))
+        })
+        .collect();
+    let members: Vec<Member<'_>> = members
+        .iter()
+        .map(|task| Member(reports.iter().filter(|report| report.task == *task).collect()))
+        .collect();
+    // From one such round to the next, all sets stay as they are.
+    let mut turns: Vec<i64> = reports.iter().flat_map(turns_of).collect();
+    turns.sort_unstable();
+    turns.dedup();
+    let mut sum = Rounds::default();
+    for pair in turns.windows(2) {
+        add(&mut sum, &members, pair[0], pair[1].abs_diff(pair[0]));
+    }
+    sum.rounds = sum.released + sum.timed_out + sum.divergent + sum.unknown;
+    sum
+}
+
+/// The rounds from which on a set of this report has other members, or the report tells of the rounds.
+fn turns_of(report: &Attended) -> Vec<i64> {
+    let sets = [&report.announced, &report.released, &report.gave_up];
+    let ranges = sets.into_iter().flat_map(Spans::ranges).chain(report.told());
+    // The last round of a report is different from those before it: the member went on to no other.
+    ranges.flat_map(|(first, last)| [first, last, last + 1]).collect()
+}
+
+/// The reports of one member.
+struct Member<'a>(Vec<&'a Attended>);
+
+impl Member<'_> {
+    fn is_in(&self, round: i64, set: impl Fn(&Attended) -> &Spans) -> bool {
+        self.0.iter().any(|report| set(report).has(round))
+    }
+
+    /// Whether the reports tell of this round, be it that the member did not take part.
+    fn tells(&self, round: i64) -> bool {
+        let whole = self.0.iter().filter(|report| !report.is_partial);
+        whole.filter_map(|report| report.told()).any(|(first, last)| (first..=last).contains(&round))
+    }
+
+    /// Whether the member announced a later round.
+    fn went_on(&self, round: i64) -> bool {
+        self.0.iter().filter_map(|report| report.announced.ends()).any(|(_, last)| last > round)
+    }
+}
+
+/// Adds `count` rounds with the same outcome to the sums: this one and those that follow it.
+fn add(sum: &mut Rounds, members: &[Member<'_>], round: i64, count: u64) {
+    let set = |is_so: &dyn Fn(&Member<'_>) -> bool| {
+        members.iter().enumerate().fold(0, |set, (place, member)| set | u64::from(is_so(member)) << place)
+    };
+    let all = set(&|_| true);
+    let announced = set(&|member| member.is_in(round, |report| &report.announced));
+    let released = set(&|member| member.is_in(round, |report| &report.released));
+    let gave_up = set(&|member| member.is_in(round, |report| &report.gave_up));
+    let silent = set(&|member| !member.tells(round));
+    let unreported = set(&|member| member.0.iter().all(|report| report.is_partial));
+    sum.false_releases += count * falsely(all & !announced & !silent, released);
+    let told = all & !released & !silent;
+    let waited = set(&|member| !member.went_on(round)) & announced & !(released | gave_up);
+    let outcome = if released == all {
+        &mut sum.released
+    } else if released == 0 {
+        if gave_up != 0 {
+            if unreported == 0 { &mut sum.timed_out } else { &mut sum.unknown }
+        } else if waited != 0 {
+            &mut sum.unfinished
+        } else {
+            return;
+        }
+    } else if told == 0 {
+        &mut sum.unknown
+    } else if told & !waited != 0 {
+        &mut sum.divergent
+    } else {
+        &mut sum.unfinished
+    };
+    *outcome += count;
+}
+
+#[cfg(test)]
+mod tests;
