@@ -17,6 +17,8 @@ use std::sync::Arc;
 const RETRY: u64 = 50_000;
 /// The longest time after which an attempt at a session is given up, in microseconds.
 const LONGEST_RETRY: u64 = 1_600_000;
+/// After this many first datagrams that another cell's key closed, the keys differ. They come within 150 ms.
+const HINTS: u8 = 3;
 /// The length of a span, in microseconds. A cookie is valid in the span in which it was made, and in the next one.
 const COOKIE_SPAN: u64 = 10_000_000;
 /// How many answered initiations are kept, at most, to answer copies alike.
@@ -50,6 +52,8 @@ pub(in crate::link::udp) struct Channel {
     pub(super) tried: Option<(u64, u64)>,
     /// When the neighbour was last greeted again, and after how long the next greeting is due.
     greeted: Option<(u64, u64)>,
+    /// How many first datagrams of handshakes came that another cell's key closed, since one that this cell's key closed.
+    strange: u8,
     pub(super) answered: VecDeque<(Nonce, HandshakeBytes)>,
 }
 
@@ -110,6 +114,7 @@ impl Channel {
             making: None,
             tried: None,
             greeted: None,
+            strange: 0,
             answered: VecDeque::with_capacity(ANSWERED),
         }))
     }
@@ -195,6 +200,7 @@ impl Channel {
         if !self.is_closed(bytes) {
             return self.unclosed(said);
         }
+        self.strange = 0;
         let awaited = self.making.as_ref().is_some_and(|making| making.nonce == said.nonce);
         match said.step {
             Step::Hello(theirs) => Ok(self.hello(said.nonce, theirs, now)),
@@ -213,9 +219,9 @@ impl Channel {
         }
     }
 
-    /// A datagram that is authenticated with another cell's key proves nothing. While there is no session, it
-    /// is a hint for the users.
-    fn unclosed(&self, said: &Handshake<'_>) -> Result<Answer, LinkDiscard> {
+    /// A datagram that is authenticated with another cell's key proves nothing. While there is no session, several of them
+    /// are a hint for the users. A single one may have been damaged on its way.
+    fn unclosed(&mut self, said: &Handshake<'_>) -> Result<Answer, LinkDiscard> {
         let other_keys = Refused::OtherKeys as u8;
         let awaited = self.making.as_ref().is_some_and(|making| making.nonce == said.nonce);
         let (theirs, here, reply) = match said.step {
@@ -223,7 +229,8 @@ impl Channel {
             Step::Refusal { digests, reason } if reason == other_keys && awaited => (digests, false, None),
             _ => return Err(LinkDiscard::OtherKeys),
         };
-        if self.sending().is_some() {
+        self.strange = self.strange.saturating_add(here.into());
+        if self.sending().is_some() || here && self.strange < HINTS {
             return Err(LinkDiscard::OtherKeys);
         }
         Ok(Answer::Refused { why: Refused::OtherKeys, theirs, here, reply })

@@ -258,6 +258,21 @@ fn a_forger_with_the_format_changes_nothing() {
 }
 
 #[test]
+fn first_datagrams_that_were_damaged_do_not_say_that_keys_differ() {
+    let mut ends = ends(&keys());
+    for at in 0..20 {
+        let at = at * 10_000 * MS;
+        let mut hello = ends[0].knock(at).unwrap();
+        // One bit of the digest of the declarations, or of the tag.
+        let last = hello.len() - 1 - usize::from(at % 3 == 0);
+        hello[last] ^= 1;
+        assert_eq!(ends[1].take(&hello, at), Err(LinkDiscard::OtherKeys));
+        let hello = ends[0].knock(at + 5_000 * MS).unwrap();
+        assert!(ends[1].take(&hello, at + 5_000 * MS).unwrap().is_some(), "the cookie");
+    }
+}
+
+#[test]
 fn other_cells_and_other_keys_are_refused_by_name_on_both_sides() {
     let refused = |a: &mut End, b: &mut End| {
         let hello = a.channel.knock(0).unwrap();
@@ -282,6 +297,11 @@ fn other_cells_and_other_keys_are_refused_by_name_on_both_sides() {
         assert_eq!(refused(&mut a, &mut b), why);
     }
     let (mut a, mut b) = (end(&same, 0, 1, DIGESTS), end(&keys(), 1, 2, DIGESTS));
+    for at in [0, 50 * MS] {
+        let hello = a.knock(at).unwrap();
+        assert_eq!(b.take(&hello, at), Err(LinkDiscard::OtherKeys), "it may have been damaged");
+    }
+    a.channel.ask_now();
     assert_eq!(refused(&mut a, &mut b), Refused::OtherKeys, "of the cell");
     // A node that has the cell's key but not the private key of a node of the cell gets no session either.
     let cell = draw_cell_key().unwrap();
