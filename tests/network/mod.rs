@@ -6,6 +6,7 @@ mod bounds;
 mod cells;
 mod evidence;
 mod frames;
+mod guide;
 mod hosts;
 mod net;
 mod overload;
