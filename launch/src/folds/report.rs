@@ -6,6 +6,7 @@ use crate::cells::Loaded;
 use crate::checks::Settlement;
 use crate::pipe::Figures;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 /// The version of the files.
 const VERSION: u32 = 1;
@@ -91,7 +92,7 @@ pub enum ReportError {
     Version(u32),
     /// The report is damaged.
     #[error("is damaged: {0}: copy it again from its machine")]
-    Damaged(serde_json::Error),
+    Damaged(String),
     /// The report is of another cell.
     #[error(
         "is a report of another cell: its {what} differ (digest {theirs} there, {ours} here); name the cell file that its machine ran"
@@ -128,6 +129,21 @@ fn digests(loaded: &Loaded) -> [(&'static str, String); 2] {
         .map(|(what, digest)| (what, format!("{digest:08x}")))
 }
 
+/// The largest number of a report: so many microseconds are 12 days, and the sum of all numbers of the largest file is one.
+const LARGEST: u64 = 1 << 40;
+
+/// Whether sums of the numbers cannot overflow. The seed is in no sum.
+fn is_countable(value: &Value) -> bool {
+    match value {
+        Value::Number(number) => {
+            number.as_i64().map_or_else(|| number.is_f64(), |number| number.unsigned_abs() <= LARGEST)
+        }
+        Value::Array(all) => all.iter().all(is_countable),
+        Value::Object(all) => all.iter().all(|(key, value)| key == "seed" || is_countable(value)),
+        Value::Null | Value::Bool(_) | Value::String(_) => true,
+    }
+}
+
 impl Report {
     /// The text of the file.
     #[must_use]
@@ -148,7 +164,7 @@ impl Report {
             Ok(head) => head,
             // A report that was cut off begins as a report.
             Err(error) if text.starts_with(&format!("{{\"format\":\"{FORMAT}\"")) => {
-                return Err(ReportError::Damaged(error));
+                return Err(ReportError::Damaged(error.to_string()));
             }
             Err(_) => return Err(ReportError::NoReport),
         };
@@ -158,11 +174,21 @@ impl Report {
         if head.version != VERSION {
             return Err(ReportError::Version(head.version));
         }
-        let file: File<Self> = serde_json::from_str(text).map_err(ReportError::Damaged)?;
+        let damaged = |error: serde_json::Error| ReportError::Damaged(error.to_string());
+        let value: Value = serde_json::from_str(text).map_err(damaged)?;
+        if !is_countable(&value) {
+            return Err(ReportError::Damaged("a number is too large".into()));
+        }
+        let file: File<Self> = serde_json::from_value(value).map_err(damaged)?;
         for ((what, ours), theirs) in digests(loaded).into_iter().zip([file.declarations, file.statements]) {
             if ours != theirs {
                 return Err(ReportError::OtherCell { what, theirs, ours });
             }
+        }
+        let nodes = loaded.table.cell().nodes.len();
+        let mut links = file.report.nodes.iter().flat_map(|node| &node.incarnations).flat_map(|of| &of.links);
+        if let Some(link) = links.find(|link| link.peer.index() >= nodes) {
+            return Err(ReportError::Damaged(format!("the cell has no node {}", link.peer.index())));
         }
         Ok(file.report)
     }

@@ -8,6 +8,7 @@ use crate::folds::gatherer::Gatherer;
 use crate::launcher::Verdict;
 use crate::pipe::{Event, Figures, What, Word};
 use imrs_protocol::{NodeId, PortCounters, PortId, Round, TaskId};
+use imrs_wire::obs::LinkReport;
 use std::sync::Arc;
 
 /// The report of the machine that runs one node: each of the `rounds` released its only task, which sent as many messages.
@@ -89,6 +90,7 @@ fn what_is_no_report_of_this_cell_is_refused_by_name() {
     assert!(refused("{}").contains("no report of a run"));
     assert!(refused("task armL on nl").contains("no report of a run"));
     assert!(refused(&text[..text.len() / 2]).contains("copy it again"));
+    assert!(refused(&text.replace("\"sent\":5", "\"sent\":2000000000000")).contains("a number is too large"));
     let later = text.replace("\"version\":1", "\"version\":2");
     assert!(refused(&later).contains("version 2") && refused(&later).contains("reads version 1"));
     let digest = format!("{:08x}", loaded.table.digest());
@@ -96,4 +98,13 @@ fn what_is_no_report_of_this_cell_is_refused_by_name() {
         refused(&text.replace(&digest, "00000001"))
             .contains("its declarations differ (digest 00000001 there")
     );
+    let mut strange = machine(0, 5);
+    let link = serde_json::json!({
+        "peer": 9, "delay": { "count": 0, "late": 0, "p50_us": 0, "p99_us": 0, "max_us": 0 },
+        "recent": { "count": 0, "late": 0, "p50_us": 0, "p99_us": 0, "max_us": 0 }, "recent_us": 0, "unmeasured": 0,
+        "integrity": { "failures": 0, "is_faulty": false, "faults": 0, "unmatched": 0 }, "has_stopped": false
+    });
+    let link: LinkReport = serde_json::from_value(link).expect("a link");
+    strange.nodes[0].incarnations[0].links.push(link);
+    assert!(refused(&strange.text(&loaded)).contains("the cell has no node 9"));
 }
