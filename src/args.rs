@@ -128,6 +128,7 @@ Examples:
   imrs check examples/beam_lift.cell
   imrs check --paper cell.cell               only the paper's keywords and its literal rules
   imrs check cell.cell --format json | jq '.diagnostics[].code'
+  imrs check --load cell.cell                the traffic on each link, by rates and time_outs
   imrs explain E104                          what a code means, with examples
 
 A cell with warnings ends with 0, one with errors with 1, a file that cannot be read with 2.")]

@@ -1,5 +1,7 @@
 //! `imrs check`: compiles a cell file and shows the compiler's diagnostics.
 
+mod load;
+
 use crate::args::{CheckArgs, Format};
 use crate::cell_file::{read, shown};
 use crate::exit::{Exit, turned_down};
@@ -22,6 +24,9 @@ struct Checked<'a> {
     diagnostics: Vec<Located<'a>>,
     /// A sentence about what was not checked because of errors; `None` if everything was checked.
     unchecked: Option<&'a str>,
+    /// The traffic on the links, if it was asked for and the cell has no errors.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    load: Option<load::Shown>,
 }
 
 /// Checks a cell file.
@@ -33,13 +38,16 @@ pub fn run(args: &CheckArgs, out: &mut Output) -> Result<Exit, Failure> {
     let compiled = compile_with(&source, Options { paper: args.paper });
     let (file, found) = (shown(&args.cell), &compiled.diagnostics);
     match args.format {
-        Format::Json => json(&file, &source, &compiled, out)?,
+        Format::Json => answer(&file, &source, &compiled, args.load, out)?,
         Format::Text => {
             out.text(&render::text(found, &file, Some(&source), render::Style::Coloured))?;
             if let Some(unchecked) = compiled.unchecked {
                 out.line(format!("\n{}: {unchecked}", Styled(NOTE, "note".to_owned())))?;
             }
             verdict(&file, &compiled, out)?;
+            if let Some(hir) = compiled.hir.as_ref().filter(|_| args.load) {
+                load::table(hir, out)?;
+            }
         }
     }
     Ok(if of(found, Severity::Error) == 0 { Exit::Well } else { turned_down(found) })
@@ -50,6 +58,16 @@ pub fn run(args: &CheckArgs, out: &mut Output) -> Result<Exit, Failure> {
 /// # Errors
 /// [`Failure::Output`].
 pub fn json(file: &str, source: &Source, compiled: &Compiled, out: &mut Output) -> Result<(), Failure> {
+    answer(file, source, compiled, false, out)
+}
+
+fn answer(
+    file: &str,
+    source: &Source,
+    compiled: &Compiled,
+    load: bool,
+    out: &mut Output,
+) -> Result<(), Failure> {
     let found = &compiled.diagnostics;
     out.json(&Checked {
         version: 1,
@@ -60,6 +78,7 @@ pub fn json(file: &str, source: &Source, compiled: &Compiled, out: &mut Output) 
         notes: of(found, Severity::Note),
         diagnostics: render::located(found, file, Some(source)),
         unchecked: compiled.unchecked,
+        load: compiled.hir.as_ref().filter(|_| load).map(load::Shown::of),
     })
 }
 

@@ -82,6 +82,8 @@ pub struct LinkDecl {
     pub b: Name,
     /// The longest delay of a packet that is not lost (D20).
     pub delay: Duration,
+    /// How many packets the link carries in a time.
+    pub capacity: Option<Rate>,
     /// The link's span.
     pub span: Span,
 }

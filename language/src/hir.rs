@@ -102,6 +102,8 @@ pub struct Link {
     pub b: NodeId,
     /// The longest delay of a packet that is not lost (D20).
     pub delay: Duration,
+    /// How many packets the link carries in a time, if the cell says so.
+    pub capacity: Option<(u16, Duration)>,
     /// The link's span.
     pub span: Span,
 }

@@ -47,7 +47,7 @@ words! {
         Timer "timer",
     }
     free {
-        Tick "tick", Model "model", Node "node", At "at", Link "link", Couple "couple", Faults "faults",
+        Tick "tick", Model "model", Node "node", At "at", Link "link", Capacity "capacity", Couple "couple", Faults "faults",
         Check "check", Module "module", Standby "standby", Of "of", Extern "extern",
         Usage "usage", MessageFormat "message_format", UserList "user_list", TimeOut "time_out", Class "class",
         BoundedBuffer "bounded_buffer", Retry "retry", Resend "resend", Penalty "penalty", Paper "paper",

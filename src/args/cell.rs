@@ -13,6 +13,9 @@ pub struct CheckArgs {
     /// Allow only the keywords of the paper, and apply the paper's own rules.
     #[arg(long)]
     pub paper: bool,
+    /// Also estimate the traffic on each link, and say which tasks would cause less of it on another node.
+    #[arg(long)]
+    pub load: bool,
     /// The form of the answer.
     #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
     pub format: Format,

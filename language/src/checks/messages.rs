@@ -37,7 +37,7 @@ fn parties(port: &Port) -> impl Iterator<Item = TaskId> + '_ {
     std::iter::once(port.owner).chain(port.users.iter().map(|user| user.task))
 }
 
-pub(super) fn senders(port: &Port) -> impl Iterator<Item = TaskId> + '_ {
+pub(crate) fn senders(port: &Port) -> impl Iterator<Item = TaskId> + '_ {
     let sends = |usage| matches!(usage, Some(Usage::Send | Usage::Query | Usage::Reply));
     parties(port).filter(move |&task| sends(port.usage_of(task)))
 }

@@ -4,14 +4,11 @@ use super::{LEAST_TICKS, time};
 use crate::codes::{LOAD, SHORT_TIME_OUT, SOON};
 use crate::diagnostic::Diagnostic;
 use crate::hir::{Hir, Port};
-use imrs_protocol::{Class, NodeId, PortId, TaskId};
+use crate::load::{Load, WIRE_BYTES};
+use imrs_protocol::PortId;
 
 /// If a time_out has fewer ticks than this, the lateness of one tick matters.
 const FEW_TICKS: u64 = 20;
-/// The bits of a packet on the wire: 32 bytes, its envelope, IP and UDP, Ethernet and the gap.
-const BITS: f64 = 138.0 * 8.0;
-/// A load of a link above this value, in bits per second, is reported.
-const PLENTY: f64 = 100e6;
 
 pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
     for (at, port) in hir.ports.iter().enumerate() {
@@ -45,39 +42,32 @@ fn time_outs(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// Adds up the declared rates on each link.
+/// Compares the traffic on each link with what the link carries. Where a link declares no capacity, only declared rates count.
 fn loads(hir: &Hir, found: &mut Vec<Diagnostic>) {
-    let mut loads = vec![0.0; hir.links.len()];
-    for port in &hir.ports {
-        let bytes: usize = port.message.iter().map(|field| field.of.bytes()).sum();
-        let packets = bytes.div_ceil(12).max(1) as f64 * if port.class == Class::Command { 2.0 } else { 1.0 };
-        for from in super::messages::senders(port) {
-            let Some((count, per)) = port.user(from).and_then(|user| user.rate).or(port.rate) else {
-                continue;
-            };
-            let rate = f64::from(count) * 1e6 / per.usec.max(1) as f64;
-            for to in port.peers(from) {
-                for link in hir.way(node(hir, from), node(hir, to)) {
-                    loads[link] += rate * packets * BITS;
-                }
-            }
-        }
+    for (link, load) in hir.links.iter().zip(Load::of(hir).links) {
+        let ends = [link.a, link.b].map(|node| &hir.nodes[node.index()].name);
+        let (message, label) = if link.capacity.is_some() && load.is_congested() {
+            let message = format!(
+                "the link of `{}` and `{}` carries {:.0} packets a second, and gets up to {:.0}",
+                ends[0],
+                ends[1],
+                load.capacity,
+                load.total()
+            );
+            (message, format!("{:.0} of them are estimated from time_outs", load.estimated))
+        } else if link.capacity.is_none() && load.declared > load.capacity {
+            let message = format!(
+                "the declared rates put up to {:.0} Mbit/s on the link of `{}` and `{}`",
+                load.declared * WIRE_BYTES * 8.0 / 1e6,
+                ends[0],
+                ends[1]
+            );
+            (message, "138 bytes a packet, on the wire".into())
+        } else {
+            continue;
+        };
+        found.push(Diagnostic::warning(LOAD, link.span, message).label(label).help(
+            "lower the rates, or join the nodes that talk most by links of their own; `imrs check --load` shows all links",
+        ));
     }
-    for (link, load) in hir.links.iter().zip(loads).filter(|(_, load)| *load > PLENTY) {
-        let message = format!(
-            "the declared rates put up to {:.0} Mbit/s on the link of `{}` and `{}`",
-            load / 1e6,
-            hir.nodes[link.a.index()].name,
-            hir.nodes[link.b.index()].name
-        );
-        found.push(
-            Diagnostic::warning(LOAD, link.span, message)
-                .label("138 bytes a packet, on the wire")
-                .help("lower the rates, or join the nodes that talk most by links of their own"),
-        );
-    }
-}
-
-fn node(hir: &Hir, task: TaskId) -> NodeId {
-    hir.tasks[task.index()].node
 }

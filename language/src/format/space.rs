@@ -67,7 +67,7 @@ impl Spacing {
         );
         self.is_unary = what == What::Sign(Kind::Minus) && !operand_in_front;
         self.rate = match (self.rate, what) {
-            (_, What::Word(Word::Rate)) => 1,
+            (_, What::Word(Word::Rate | Word::Capacity)) => 1,
             (1, What::Sign(Kind::Equal)) => 2,
             (2, What::Operand) => 3,
             (3, What::Sign(Kind::Slash)) => 4,

@@ -69,9 +69,11 @@ fn item<'t>(source: &'t str) -> impl Part<'t, Item> {
         Item::Tick(TickDecl { model: model.is_some(), length, span: extra.span() })
     });
     let ends = name(source).then_ignore(just(Kind::Link)).then(name(source));
-    let link = word(Word::Link).ignore_then(ends).then_ignore(word(Word::Delay)).then(duration(source));
-    let link =
-        link.map_with(|((a, b), delay), extra| Item::Link(LinkDecl { a, b, delay, span: extra.span() }));
+    let capacity = word(Word::Capacity).ignore_then(just(Kind::Equal)).ignore_then(rate(source)).or_not();
+    let link = word(Word::Link).ignore_then(ends).then_ignore(word(Word::Delay));
+    let link = link.then(duration(source)).then(capacity).map_with(|(((a, b), delay), capacity), extra| {
+        Item::Link(LinkDecl { a, b, delay, capacity, span: extra.span() })
+    });
     let at = word(Word::At).ignore_then(text(source)).or_not();
     let port = word(Word::Port).ignore_then(number(source)).or_not();
     let node = word(Word::Node).ignore_then(name(source)).then(at).then(port);

@@ -134,7 +134,8 @@ impl<'a> Resolver<'a> {
             );
         }
         self.links.insert((a.min(b), a.max(b)), self.hir.links.len());
-        self.hir.links.push(Link { a, b, delay: link.delay, span: link.span });
+        let capacity = link.capacity.as_ref().and_then(|capacity| self.rate(capacity));
+        self.hir.links.push(Link { a, b, delay: link.delay, capacity, span: link.span });
     }
 
     pub(super) fn link_between(&self, a: NodeId, b: NodeId) -> Option<usize> {

@@ -5,6 +5,7 @@ mod checks;
 mod deadlines;
 mod exits;
 mod faults;
+mod load;
 mod lowered;
 mod random;
 mod runs;

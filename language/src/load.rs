@@ -1,0 +1,176 @@
+//! The traffic that a cell puts on its links, estimated from its text (§5.2.3).
+//!
+//! A declared `rate` says how often a task sends at most. Without one, the `time_out` is the only hint that a cell gives: an
+//! answer or a message that nobody needs after this time is hardly asked for more often. So an estimate by time_outs is no bound.
+
+use crate::checks::senders;
+use crate::hir::{CoupleKind, Duration, Field, Hir, Port, StatementKind};
+use crate::walk;
+use imrs_protocol::{CONTENTS_BYTES, Class, NodeId, PortId, TaskId, Usage};
+
+/// The bytes of a packet on the wire, alone in its datagram: 32 bytes, its envelope, IP and UDP, Ethernet and the gap.
+pub const WIRE_BYTES: f64 = 138.0;
+/// What a link carries that declares no capacity: 100 Mbit/s.
+const USUAL: f64 = 100e6 / (WIRE_BYTES * 8.0);
+/// A task is advised to move if all links together then carry less by at least this share.
+const WORTH: f64 = 0.1;
+
+/// The load of a cell's links.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Load {
+    /// The load of each link, by its position in [`Hir::links`].
+    pub links: Vec<LinkLoad>,
+    /// The tasks that would cause less traffic on another node, the one that saves most first.
+    pub moves: Vec<Move>,
+}
+
+/// The packets a second on a link, in both directions together.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LinkLoad {
+    /// At most so many by declared rates.
+    pub declared: f64,
+    /// So many more, estimated from the time_outs of ports without a rate.
+    pub estimated: f64,
+    /// So many the link carries.
+    pub capacity: f64,
+}
+
+/// A task that would cause less traffic on another node. Tasks with actions are left out, because their robot is where it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Move {
+    /// The task.
+    pub task: TaskId,
+    /// The node on which it would cause the least traffic.
+    pub to: NodeId,
+    /// So many packets a second fewer are on all links together.
+    pub saves: f64,
+}
+
+impl LinkLoad {
+    /// All packets a second.
+    #[must_use]
+    pub fn total(&self) -> f64 {
+        self.declared + self.estimated
+    }
+
+    /// Whether the link gets more than it carries.
+    #[must_use]
+    pub fn is_congested(&self) -> bool {
+        self.total() > self.capacity
+    }
+}
+
+/// Packets from one task to another.
+struct Flow {
+    from: TaskId,
+    to: TaskId,
+    rate: f64,
+    is_declared: bool,
+}
+
+impl Load {
+    /// Estimates the load of a cell that has no errors.
+    #[must_use]
+    pub fn of(hir: &Hir) -> Self {
+        let flows = flows(hir);
+        let own = |task: TaskId| hir.tasks[task.index()].node;
+        let mut links: Vec<LinkLoad> = hir.links.iter().map(|link| capacity(link.capacity)).collect();
+        for flow in &flows {
+            for link in hir.way(own(flow.from), own(flow.to)) {
+                let sum =
+                    if flow.is_declared { &mut links[link].declared } else { &mut links[link].estimated };
+                *sum += flow.rate;
+            }
+        }
+        Self { links, moves: moves(hir, &flows) }
+    }
+}
+
+fn capacity(declared: Option<(u16, Duration)>) -> LinkLoad {
+    LinkLoad { capacity: declared.map_or(USUAL, per_second), ..LinkLoad::default() }
+}
+
+fn per_second((count, per): (u16, Duration)) -> f64 {
+    f64::from(count) * 1e6 / per.usec.max(1) as f64
+}
+
+fn flows(hir: &Hir) -> Vec<Flow> {
+    let mut flows = Vec::new();
+    for (at, port) in hir.ports.iter().enumerate() {
+        let of: Vec<TaskId> = match port.usage {
+            Usage::Waitfor => {
+                std::iter::once(port.owner).chain(port.users.iter().map(|user| user.task)).collect()
+            }
+            _ => senders(port).collect(),
+        };
+        for from in of {
+            let Some((rate, is_declared)) = rate(hir, PortId::from_index(at), port, from) else { continue };
+            for to in port.peers(from) {
+                flows.push(Flow { from, to, rate: rate * packets(port), is_declared });
+            }
+        }
+    }
+    flows
+}
+
+/// How often a task uses a port in a second, and whether the cell says so.
+fn rate(hir: &Hir, id: PortId, port: &Port, from: TaskId) -> Option<(f64, bool)> {
+    let heartbeats = hir.couples.iter().find_map(|couple| match couple.kind {
+        CoupleKind::Work { via, every, .. } if via == id => Some(every),
+        _ => None,
+    });
+    let user = port.user(from);
+    let declared = user.and_then(|user| user.rate).or(port.rate).or(heartbeats.map(|every| (1, every)));
+    let time_out = || user.and_then(|user| user.time_out).or(port.time_out).map(|time_out| (1, time_out));
+    let of_time_out = || time_out().map(|once| (per_second(once), false));
+    declared.map(|rate| (per_second(rate), true)).or_else(of_time_out)
+}
+
+/// How many packets pass between two tasks for one message with its answer, or for one round.
+fn packets(port: &Port) -> f64 {
+    let of = |fields: &[Field]| {
+        let bytes: usize = fields.iter().map(|field| field.of.bytes()).sum();
+        bytes.div_ceil(CONTENTS_BYTES).max(1) as f64
+    };
+    match port.usage {
+        // An announcement and a confirmation.
+        Usage::Waitfor => 2.0,
+        _ if port.class == Class::Command => of(&port.message) + of(&port.answer),
+        _ => of(&port.message),
+    }
+}
+
+/// Tries each task without actions on the nodes of the tasks with which it exchanges messages.
+fn moves(hir: &Hir, flows: &[Flow]) -> Vec<Move> {
+    let cost = |moved: Option<(TaskId, NodeId)>| -> f64 {
+        let place = |task: TaskId| match moved {
+            Some((which, to)) if which == task => to,
+            _ => hir.tasks[task.index()].node,
+        };
+        flows.iter().map(|flow| flow.rate * hir.way(place(flow.from), place(flow.to)).len() as f64).sum()
+    };
+    let now = cost(None);
+    let mut moves = Vec::new();
+    for (at, task) in hir.tasks.iter().enumerate() {
+        let id = TaskId::from_index(at);
+        let mut is_bound = task.is_extern || task.standby_of.is_some();
+        walk::of_task(task, &mut |statement| is_bound |= matches!(statement.kind, StatementKind::Run { .. }));
+        if is_bound {
+            continue;
+        }
+        let partners = flows.iter().filter_map(|flow| match id {
+            id if id == flow.from => Some(flow.to),
+            id if id == flow.to => Some(flow.from),
+            _ => None,
+        });
+        let mut nodes: Vec<NodeId> = partners.map(|partner| hir.tasks[partner.index()].node).collect();
+        nodes.sort_unstable();
+        nodes.dedup();
+        let best = nodes.into_iter().map(|to| Move { task: id, to, saves: now - cost(Some((id, to))) });
+        moves.extend(
+            best.filter(|there| there.saves > WORTH * now).max_by(|a, b| a.saves.total_cmp(&b.saves)),
+        );
+    }
+    moves.sort_by(|a, b| b.saves.total_cmp(&a.saves));
+    moves
+}
