@@ -289,8 +289,8 @@ Examples:
     Bench(BenchArgs),
     /// Carry the datagrams of a node over zenoh, to machines that one network does not reach.
     ///
-    /// The cell declares each node at a port of 127.0.0.1. On each machine the node takes its own port, and this gateway
-    /// those of its neighbours. The nodes' keys protect the datagrams from one node to the other: the gateway has no
+    /// The cell declares each node at a port of 127.0.0.1. On each machine the node takes its own port, and the
+    /// gateway takes the ports of the node's neighbours. The nodes' keys protect the datagrams from one node to the other: the gateway has no
     /// keys. Zenoh may drop or delay a datagram; a late one is dropped by its receiver.
     #[cfg(feature = "zenoh")]
     #[command(after_help = "\

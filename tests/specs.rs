@@ -256,7 +256,7 @@ fn decisions_that_code_and_documents_cite_are_written_down() {
     let written = decisions();
     let mut folders: Vec<PathBuf> =
         ["src", "protocol", "wire", "model", "runtime", "client", "launch", "monitor", "tests", "examples"]
-            .map(|room| Path::new(ROOT).join(room))
+            .map(|folder| Path::new(ROOT).join(folder))
             .into();
     let mut files: Vec<PathBuf> = documents().iter().map(|path| Path::new(ROOT).join(path)).collect();
     while let Some(folder) = folders.pop() {
@@ -355,7 +355,7 @@ fn links_between_documents_lead_somewhere() {
 
 #[test]
 fn files_that_documents_name_exist() {
-    let rooms = [
+    let folders = [
         "src/",
         "protocol/",
         "wire/",
@@ -372,7 +372,7 @@ fn files_that_documents_name_exist() {
         let text = read(&path);
         for name in quoted(&text) {
             let file = name.split("::").next().unwrap_or(name);
-            let is_path = rooms.iter().any(|room| file.starts_with(room))
+            let is_path = folders.iter().any(|folder| file.starts_with(folder))
                 && [".rs", ".md"].iter().any(|end| file.ends_with(end));
             assert!(!is_path || Path::new(ROOT).join(file).exists(), "{} names `{file}`", path.display());
         }

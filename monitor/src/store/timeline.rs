@@ -64,13 +64,13 @@ pub struct Timeline {
     pub gaps: Vec<Gap>,
 }
 
-/// The last marks of a cell, at most `most`.
+/// The newest events that the timeline draws of a cell, at most `most`.
 #[must_use]
 pub fn timeline(store: &Store, cell: &Name, most: usize) -> Timeline {
     timeline_of(store, cell, most, |_| true)
 }
 
-/// The last marks of a cell, at most `most`, of the events that `wanted` selects.
+/// As [`timeline`], but only of the events that `wanted` selects.
 #[must_use]
 pub fn timeline_of(store: &Store, cell: &Name, most: usize, wanted: impl Fn(&Seen) -> bool) -> Timeline {
     let incarnations: BTreeSet<IncarnationId> =
