@@ -237,15 +237,18 @@ fn every_decision_is_written_down_once() {
 }
 
 #[test]
-fn the_index_has_every_decision_once() {
+fn the_index_has_every_decision_once_and_says_which_are_superseded() {
     let last = *decisions().keys().next_back().expect("decisions");
     let index = read("specs/decisions/README.md");
     let mut entries = BTreeMap::<u32, usize>::new();
-    for line in index.lines() {
-        let Some((number, _)) = line.strip_prefix("- [D").and_then(|rest| rest.split_once(']')) else {
-            continue;
-        };
+    for entry in index.split("\n\n").flat_map(|list| list.split("- [D").skip(1)) {
+        let (number, link) = entry.split_once("](").expect("a link");
         *entries.entry(number.parse().expect("a number")).or_default() += 1;
+        if let Some((file, line)) = link.split_once(')').filter(|(file, _)| file.starts_with('D')) {
+            let record = read(format!("specs/decisions/{file}"));
+            let says = ["\n*Superseded", "\n*Partly superseded"].iter().any(|words| record.contains(words));
+            assert_eq!(line.contains("uperseded by"), says, "D{number} is superseded: index, record");
+        }
     }
     let expected: BTreeMap<u32, usize> = (1..=last).map(|number| (number, 1)).collect();
     assert_eq!(entries, expected, "the entries of specs/decisions/README.md, by number: how often");

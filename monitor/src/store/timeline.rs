@@ -168,7 +168,7 @@ const fn packed(port: PortId, kind: Kind, number: u32) -> u64 {
     (port.0 as u64) << 40 | (kind as u64) << 32 | number as u64
 }
 
-/// The key under which a mark may be a cause.
+/// The key under which later events find this event as their cause; `None` if it causes no other event.
 fn act(mark: &Mark) -> Option<Act> {
     let what = mark.seen.what;
     let kind = match what.event {

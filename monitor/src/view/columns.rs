@@ -29,9 +29,9 @@ const SPARKS: u16 = 12;
 pub(super) struct Needs {
     pub name: u16,
     pub queue: u16,
-    /// The longest state.
+    /// The width of the longest text of a state, with the usual texts.
     pub state: u16,
-    /// The longest state of a node, when each node has the shortest of its texts.
+    /// The same width if each node shows the shortest of its texts.
     pub shortest_state: u16,
     /// Two widths of the longest state that has sparklines behind it: with the usual texts, and if each node shows the shortest
     /// of its texts.
