@@ -93,7 +93,7 @@ class Built:
             unfit |= broken
 
     def program(self, name):
-        """Where a program is: `quick`, `imrs`, or the tests of a room, as `model all` and `protocol --lib`."""
+        """Where a program is: `quick`, `imrs`, or the tests of a crate, as `model all` and `protocol --lib`."""
         if name not in self.known["programs"]:
             with self.alone():
                 if name not in self.known["programs"]:

@@ -62,7 +62,7 @@ pub struct Cli {
 /// The verbs.
 #[derive(Debug, Subcommand)]
 pub enum Verb {
-    /// Check the protocol's claims, or a cell, by exhausting every schedule within stated bounds.
+    /// Try every order of events in a cell, within stated bounds; without a cell, check the protocol's claims.
     ///
     /// With a cell file, the scripts of that cell are checked, first without faults, then with the faults that the cell
     /// declares. A finding is a deadlock, a wait that nothing can end, a task that ends badly, or a check that does not
@@ -93,9 +93,7 @@ Examples:
     ///
     /// With --plan a file gives the faults. If --save wrote the file, it also gives the choices; otherwise each seed
     /// draws its own choices. In such a file, times are counted from the start, and packets and actions from 1.
-    #[command(
-        verbatim_doc_comment,
-        after_help = "\
+    #[command(after_help = "\
 A plan:
   version = 2
   [[fault]]
@@ -119,8 +117,7 @@ Examples:
   imrs simulate cell.cell --seed 42                  one run, drawn
   imrs simulate cell.cell --save found.toml; imrs simulate cell.cell --plan found.toml
   imrs simulate cell.cell --plan faults.toml --seeds 100
-  imrs simulate cell.cell --format json | jq '.findings[].again'"
-    )]
+  imrs simulate cell.cell --format json | jq '.findings[].again'")]
     Simulate(SimulateArgs),
     /// Compile a cell file and say everything that can be known without running it.
     #[command(after_help = "\
@@ -305,8 +302,8 @@ Examples:
     Bench(BenchArgs),
     /// Carry the datagrams of a node over zenoh, to machines that one network does not reach.
     ///
-    /// The cell declares each node at a port of 127.0.0.1. On each machine the node takes its own port, and this gateway
-    /// those of its neighbours. The nodes' keys protect the datagrams from one node to the other: the gateway has no
+    /// The cell declares each node at a port of 127.0.0.1. On each machine the node takes its own port, and the
+    /// gateway takes the ports of the node's neighbours. The nodes' keys protect the datagrams from one node to the other: the gateway has no
     /// keys. Zenoh may drop or delay a datagram; a late one is dropped by its receiver.
     #[cfg(feature = "zenoh")]
     #[command(after_help = "\
@@ -380,6 +377,13 @@ mod tests {
         for verb in command.get_subcommands().filter(|verb| !verb.is_hide_set()) {
             let help = verb.get_after_help().map(ToString::to_string).unwrap_or_default();
             assert!(help.contains("Example"), "`{}` shows no example", verb.get_name());
+            // The terminal wraps each paragraph, so a line break inside one would make ragged lines.
+            let about = verb.get_long_about().map(ToString::to_string).unwrap_or_default();
+            assert!(
+                !about.replace("\n\n", "").contains('\n'),
+                "`{}` breaks a paragraph into lines",
+                verb.get_name()
+            );
         }
     }
 

@@ -142,7 +142,7 @@ fn carry(
 ) -> zenoh::Result<()> {
     let publisher = session
         .declare_publisher(out)
-        // A datagram that waits loses its worth: zenoh drops what it cannot send, and batches nothing.
+        // A message expires while its datagram waits. So zenoh drops datagrams that it cannot send at once, and batches none.
         .congestion_control(CongestionControl::Drop)
         .reliability(Reliability::BestEffort)
         .priority(Priority::RealTime)

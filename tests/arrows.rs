@@ -25,7 +25,7 @@ fn imports() -> BTreeMap<String, (BTreeSet<String>, BTreeSet<String>)> {
 }
 
 #[test]
-fn the_rooms_import_each_other_only_along_the_arrows() {
+fn the_crates_import_each_other_only_along_the_arrows() {
     let allowed: BTreeMap<&str, &[&str]> = BTreeMap::from([
         ("imrs-protocol", &[][..]),
         ("imrs-language", &["imrs-protocol"][..]),
@@ -79,9 +79,9 @@ fn the_rooms_import_each_other_only_along_the_arrows() {
 }
 
 #[test]
-fn heavy_libraries_stay_in_their_rooms() {
+fn heavy_libraries_stay_in_their_crates() {
     for (package, (normal, dev)) in imports() {
-        for (library, room) in [
+        for (library, owner) in [
             ("stateright", "imrs-model"),
             ("ratatui", "imrs-monitor"),
             ("crossterm", "imrs-monitor"),
@@ -92,7 +92,7 @@ fn heavy_libraries_stay_in_their_rooms() {
             let uses = normal.contains(library) || dev.contains(library);
             // The measurements have a command line of their own, and compare with zenoh.
             let measures = package == "imrs-bench" && ["clap", "zenoh"].contains(&library);
-            assert!(!uses || package == room || measures, "{library} in {package}: it belongs in {room}");
+            assert!(!uses || package == owner || measures, "{library} in {package}: it belongs in {owner}");
         }
         for explorer in ["loom", "shuttle"] {
             assert!(!normal.contains(explorer), "{package}: {explorer} is for tests");
@@ -179,8 +179,9 @@ fn the_protocol_stands_alone() {
     assert!(normal.len() <= 3, "the protocol's dependencies: {normal:?}");
     let source = fs::read_to_string(Path::new(ROOT).join("protocol/src/lib.rs")).expect("its source");
     assert!(source.contains("#![no_std]") && source.contains("#![forbid(unsafe_code)]"));
-    for room in ["model", "monitor"] {
-        let source = fs::read_to_string(Path::new(ROOT).join(room).join("src/lib.rs")).expect("its source");
-        assert!(source.contains("#![forbid(unsafe_code)]"), "{room} needs no unsafe code");
+    for package in ["model", "monitor"] {
+        let source =
+            fs::read_to_string(Path::new(ROOT).join(package).join("src/lib.rs")).expect("its source");
+        assert!(source.contains("#![forbid(unsafe_code)]"), "{package} needs no unsafe code");
     }
 }

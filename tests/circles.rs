@@ -7,7 +7,7 @@ use std::iter::Peekable;
 use std::path::Path;
 use std::str::Chars;
 
-const ROOMS: [&str; 11] = [
+const CRATES: [&str; 11] = [
     "src",
     "protocol/src",
     "language/src",
@@ -25,11 +25,11 @@ const ROOMS: [&str; 11] = [
 type Module = Vec<String>;
 
 /// The modules of a crate with their code, without comments and unit tests.
-fn room(folder: &Path) -> BTreeMap<Module, String> {
+fn modules_of(folder: &Path) -> BTreeMap<Module, String> {
     let mut modules = BTreeMap::new();
     let mut folders = vec![(folder.to_owned(), Module::new())];
     while let Some((folder, module)) = folders.pop() {
-        for entry in fs::read_dir(&folder).expect("a folder of a room").flatten() {
+        for entry in fs::read_dir(&folder).expect("a folder of a crate").flatten() {
             let path = entry.path();
             let name = path.file_stem().expect("a name").to_str().expect("UTF-8").to_owned();
             let own = [&module[..], std::slice::from_ref(&name)].concat();
@@ -160,9 +160,9 @@ fn circles(modules: &BTreeMap<Module, String>) -> BTreeMap<Module, BTreeSet<Modu
 }
 
 #[test]
-fn no_files_of_a_room_import_each_other_in_a_circle() {
-    for name in ROOMS {
-        let modules = room(&Path::new(env!("CARGO_MANIFEST_DIR")).join(name));
+fn no_files_of_a_crate_import_each_other_in_a_circle() {
+    for name in CRATES {
+        let modules = modules_of(&Path::new(env!("CARGO_MANIFEST_DIR")).join(name));
         assert!(modules.len() > 1, "{name}: no files were found");
         let line = |(own, others): (&Module, &BTreeSet<Module>)| {
             let others: Vec<String> = others.iter().map(|other| other.join("::")).collect();

@@ -237,15 +237,18 @@ fn every_decision_is_written_down_once() {
 }
 
 #[test]
-fn the_index_has_every_decision_once() {
+fn the_index_has_every_decision_once_and_says_which_are_superseded() {
     let last = *decisions().keys().next_back().expect("decisions");
     let index = read("specs/decisions/README.md");
     let mut entries = BTreeMap::<u32, usize>::new();
-    for line in index.lines() {
-        let Some((number, _)) = line.strip_prefix("- [D").and_then(|rest| rest.split_once(']')) else {
-            continue;
-        };
+    for entry in index.split("\n\n").flat_map(|list| list.split("- [D").skip(1)) {
+        let (number, link) = entry.split_once("](").expect("a link");
         *entries.entry(number.parse().expect("a number")).or_default() += 1;
+        if let Some((file, line)) = link.split_once(')').filter(|(file, _)| file.starts_with('D')) {
+            let record = read(format!("specs/decisions/{file}"));
+            let says = ["\n*Superseded", "\n*Partly superseded"].iter().any(|words| record.contains(words));
+            assert_eq!(line.contains("uperseded by"), says, "D{number} is superseded: index, record");
+        }
     }
     let expected: BTreeMap<u32, usize> = (1..=last).map(|number| (number, 1)).collect();
     assert_eq!(entries, expected, "the entries of specs/decisions/README.md, by number: how often");
@@ -256,7 +259,7 @@ fn decisions_that_code_and_documents_cite_are_written_down() {
     let written = decisions();
     let mut folders: Vec<PathBuf> =
         ["src", "protocol", "wire", "model", "runtime", "client", "launch", "monitor", "tests", "examples"]
-            .map(|room| Path::new(ROOT).join(room))
+            .map(|folder| Path::new(ROOT).join(folder))
             .into();
     let mut files: Vec<PathBuf> = documents().iter().map(|path| Path::new(ROOT).join(path)).collect();
     while let Some(folder) = folders.pop() {
@@ -355,7 +358,7 @@ fn links_between_documents_lead_somewhere() {
 
 #[test]
 fn files_that_documents_name_exist() {
-    let rooms = [
+    let folders = [
         "src/",
         "protocol/",
         "wire/",
@@ -372,7 +375,7 @@ fn files_that_documents_name_exist() {
         let text = read(&path);
         for name in quoted(&text) {
             let file = name.split("::").next().unwrap_or(name);
-            let is_path = rooms.iter().any(|room| file.starts_with(room))
+            let is_path = folders.iter().any(|folder| file.starts_with(folder))
                 && [".rs", ".md"].iter().any(|end| file.ends_with(end));
             assert!(!is_path || Path::new(ROOT).join(file).exists(), "{} names `{file}`", path.display());
         }

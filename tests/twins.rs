@@ -288,7 +288,8 @@ fn the_margin_of_the_take_over() {
         let twin = TakeOver { lease: 8, delay: 1, every: 2, drift }.least_margin();
         assert_eq!(verdict.found.least_safe_margin, Some(u64::from(twin)), "{rule}");
     }
-    // The property does not hold only because nothing happens: leases are renewed, and the standby can take over.
+    // A model in which nothing happens would have the property, too. So leases must be renewed in this one, and the standby
+    // must be able to take over.
     let (world, _) = TAKE_OVERS[1];
     for reachable in ["RENEWED", "TAKEN"] {
         assert!(!world.holds(world.lease + world.drift, &[reachable]), "{reachable}");

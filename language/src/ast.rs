@@ -32,7 +32,7 @@ pub struct Number {
     pub span: Span,
 }
 
-/// A whole file. What could not be parsed is missing here, and the parser has reported it.
+/// A whole file. The parser has reported the parts that it could not parse, and left them out.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct File {
     /// `cell name;`

@@ -299,7 +299,9 @@ fn not_known(text: &str, span: Span) -> Diagnostic {
     if first.is_alphabetic() {
         return found.help("names are made of the letters a to z, digits and `_`");
     }
+    let follows = text[..span.range().start].ends_with(|c: char| c.is_ascii_alphanumeric());
     found.help(match first {
+        '#' if follows => "a time is written `5 sec` or `200 msec`, and a number in decimals",
         '#' => "a comment begins with `//`; a cell is one file, and includes no other",
         '$' => "signals of a robot belong to its driver: `run NAME;` sets an output, `run NAME -> x;` reads an input",
         '?' => "choices are written `if ... then ... else ... end;`",

@@ -8,7 +8,7 @@ pub(crate) fn is_true(condition: &Expr) -> bool {
     condition.ops[..] == [Op::Term(Term::Push(1))]
 }
 
-/// The inner statements of a statement, without those of its branches.
+/// The statements inside a statement, but not the statements of its branches.
 pub(crate) fn inner(statement: &Statement) -> Vec<&[Statement]> {
     match &statement.kind {
         StatementKind::Atomic(body) | StatementKind::Loop(body) | StatementKind::While(_, body) => vec![body],

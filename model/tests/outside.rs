@@ -70,8 +70,7 @@ fn a_task_outside_answers_in_the_format_that_any_statement_reads() {
     assert!(said.iter().all(|(kind, _)| *kind != Kind::ScriptFault), "{said:?}");
 }
 
-/// What an extern task does next is unknown. So an extern task is in no standstill, even if it asks again and again without
-/// an answer.
+/// An extern task may do anything next. So it is in no standstill, even if it asks again and again without an answer.
 #[test]
 fn a_task_outside_is_at_no_standstill() {
     let asks = |a: &str| {

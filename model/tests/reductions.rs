@@ -148,7 +148,7 @@ fn after_barriers(scenario: &Arc<Scenario>) -> HashSet<Packed> {
     found
 }
 
-/// Whatever the interleaving between two ticks is, the states after the ticks are the same.
+/// All interleavings between two ticks lead to the same states after the ticks.
 #[test]
 fn turns_lead_to_the_same_states_after_every_tick() {
     let crash = Budget { loss: 0, dup: 0, crash: 1 };

@@ -128,8 +128,8 @@ pub struct App {
     pub remember: Option<PathBuf>,
     /// Which key has which action.
     pub keymap: Keymap,
-    /// The overview's columns that the user chose, in this order, as positions in a row of it. If empty, the terminal's
-    /// width decides.
+    /// The columns that the user chose for the overview, in this order. Each number is the index of a cell in a row. If there
+    /// are none, the width of the terminal decides.
     pub columns: Vec<usize>,
     cell: Option<Name>,
     only: Option<String>,

@@ -184,7 +184,8 @@ impl History {
         self.closed.push_back(piece);
     }
 
-    /// Leaves so much of the budget to what is shown beside the present: of a very large cell the oldest segments go.
+    /// Leaves `bytes` of the budget to the store of a past moment that is shown beside the present. In a very large cell this
+    /// drops the oldest segments.
     pub fn reserve(&mut self, bytes: usize) {
         self.reserved = bytes;
         while self.closed.len() > 1 && self.weight() > self.budget() {

@@ -11,7 +11,7 @@ use thiserror::Error;
 const REMEMBERED: usize = 50;
 /// Longer lines, in bytes, are not kept in the file.
 const LONGEST: usize = 512;
-/// The longest file that is read, in bytes. What [`save`] writes is shorter.
+/// The longest file that is read, in bytes. [`save`] writes shorter files.
 const MOST: u64 = 1 << 16;
 
 /// What a line is for.

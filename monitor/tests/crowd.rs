@@ -78,7 +78,7 @@ fn every_screen_of_a_large_cell_has_something_to_show() {
     }
 }
 
-/// Where the events have no column for the node, one whose object is its node names it.
+/// Narrow lists of events have no column for the node. There an event about a node itself still names the node.
 #[test]
 fn the_narrow_list_of_events_says_which_node_died() {
     for width in 40..=80 {

@@ -96,7 +96,7 @@ fn every_screen_shows_where_enter_acts() {
         for (screen, keys) in SCREENS {
             let mut stage = Stage::busy(Theme::ASCII);
             let shown = stage.typed(NOW, size, keys);
-            // The window of the settings has its own cursor, in front of the screen with the other one.
+            // The window of the settings has a cursor of its own, and covers the screen behind it, which has another cursor.
             let sign = if screen == Screen::Settings { "|>" } else { ">" };
             let has_sign = |line: &&str| {
                 if sign == ">" { line.starts_with(sign) } else { line.contains(sign) }

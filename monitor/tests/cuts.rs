@@ -46,7 +46,7 @@ fn what_is_sent_and_does_not_arrive_is_a_cut_link() {
     assert_eq!((found.from.node.raw(), found.to.node.raw()), ("nl", "nr"));
     assert!(found.sent >= 14 && found.silent >= ms(5_900), "{found:?}");
     assert!(codes(stage.app.store(), now).contains(&"link-cut"));
-    // It is the loudest, on every screen, and the tasks that wait over it are no cycle and no cause.
+    // The cut is the first blocker on every screen. The tasks that wait over the cut link are no wait cycle and no cause.
     let blocked = blockers(stage.app.store(), &beam(), now);
     assert_eq!(blocked[0].kind, Kind::Cut);
     for size in [(40, 12), (64, 20), (80, 24), (120, 40), (200, 60)] {

@@ -66,7 +66,7 @@ fn a_delay_is_shown_beside_its_bound_and_warned_of_when_it_comes_near() {
         let words = format!("nl-nr ok {}/{}", span(recent.p99_us), span(bound));
         assert!(row.contains(&words), "{words}: {row}");
     }
-    // What was reported long ago is not shown any more.
+    // A report of long ago is not shown any more.
     let (codes, row) = shown(&mut stage, 6_000);
     assert!(codes.is_empty() && !row.contains('/'), "{row}");
 }

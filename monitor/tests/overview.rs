@@ -125,7 +125,7 @@ fn the_row_of_a_restarted_node_says_which_incarnation_it_is_and_how_many_died() 
         let shown = stage.text(ms(1_150), width, 24);
         assert!(row_of(&shown, "nl").contains(" inc 9, 8 deaths up 4m12s "), "{width}: {shown}");
     }
-    // What came before is also said while the node is dead or held back.
+    // The row also names the earlier incarnation while the node is dead or held back.
     let mut dead = restarted();
     dead.lose(ms(1_120), 0);
     for width in 40..=200 {

@@ -34,7 +34,7 @@ fn taken(store: &Store, text: &str) -> Vec<String> {
     taken
 }
 
-/// What the table of fields says of rows and events is what these have.
+/// The table of fields says which fields rows and events have. Exactly these fields have values.
 #[test]
 fn a_field_has_values_where_its_scope_says() {
     let mut stage = Stage::busy(Theme::ASCII);

@@ -46,7 +46,7 @@ fn clicks_hit_what_is_drawn_beside_a_finding() {
     let shown = text(&stage.draw(ms(0), 80, 15));
     let name = rows[last - 1].split_whitespace().next().unwrap();
     assert!(shown.lines().nth(selected(&shown).unwrap()).unwrap().contains(name), "{name}: {shown}");
-    // What has no room in the panel is a click or a key away, and after its last lines come the first ones again.
+    // A click or a key shows the next lines of the panel. After the last lines the first ones come again.
     let panel = rows.iter().position(|row| row.contains("lines more: p")).unwrap();
     let told = |shown: &str| shown.lines().skip(panel - 1).take(1).map(str::to_owned).collect::<Vec<_>>();
     let mut seen = told(&shown);

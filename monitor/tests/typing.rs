@@ -132,7 +132,7 @@ fn what_is_wrong_is_said_while_it_is_typed() {
     }
 }
 
-/// What the line says while it is typed, Enter does not deny.
+/// A command that the line accepts while it is typed is also accepted by Enter.
 #[test]
 fn a_theme_may_be_abbreviated() {
     let mut stage = Stage::busy(Theme::ASCII);
@@ -182,7 +182,7 @@ fn a_filter_that_means_nothing_on_its_screen_says_so() {
     }
 }
 
-/// Whatever changes the screen, a line that is typed stays that of the screen on which it was opened.
+/// The input line belongs to the screen on which it was opened, even if another screen is shown meanwhile.
 #[test]
 fn a_filter_belongs_to_the_screen_on_which_its_line_was_opened() {
     let mut stage = Stage::busy(Theme::ASCII);

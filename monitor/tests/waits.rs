@@ -73,7 +73,7 @@ fn what_may_still_be_on_its_way_makes_none() {
     assert!(found.is_empty(), "the right arm has told nothing since: it may have taken the beat");
     told(&mut stage, 1);
     assert_eq!(cycles(stage.app.store(), &beam(), ms(3_500)).len(), 1, "the beat would have come by now");
-    // What the tasks of a silent node do is unknown.
+    // The monitor cannot know what the tasks of a silent node do.
     stage.frame(ms(4_600), 0, ServerFrame::Snapshot(left()));
     stage.frame(ms(4_600), 2, ServerFrame::Snapshot(snapshot(2)));
     assert!(cycles(stage.app.store(), &beam(), ms(4_650)).is_empty(), "the right arm's node is silent");

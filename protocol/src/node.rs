@@ -137,8 +137,8 @@ impl Node {
         self.now
     }
 
-    /// Takes one input at `now` and carries out all its effects within the node. What is due by `now` happens first. A `now`
-    /// before the last one counts as no elapsed time (D42).
+    /// Takes one input at `now` and carries out all its effects within the node. Timers and expiries that are
+    /// due by `now` happen first. A `now` before the last one counts as no elapsed time (D42).
     pub fn step(&mut self, now: Instant, input: NodeInput, out: &mut impl NodeOutbox) {
         if let NodeInput::Request(task, request) = &input {
             if now > self.now {

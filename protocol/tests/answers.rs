@@ -11,7 +11,7 @@ const Y: TaskId = TaskId(1);
 const TEACH: PortId = PortId(0);
 /// The port for status messages of Y to X, for a handler.
 const HALT: PortId = PortId(1);
-/// The port for answers of Z for Y, in up to 2 packets.
+/// The port for answers that Z gives in the place of Y, in up to 2 packets.
 const THIRD: PortId = PortId(2);
 
 fn three() -> [Solo; 3] {

@@ -90,7 +90,7 @@ enum Act {
         to: Target,
         time_out: Option<Ticks>,
     },
-    /// Receives so many messages, and answers each of them.
+    /// Receives a number of messages, and answers each of them.
     Serve {
         port: Option<PortId>,
         time_out: Ticks,

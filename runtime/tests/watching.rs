@@ -101,7 +101,7 @@ fn monitors_of_version_1_0_see_what_they_always_saw() {
 /// The version and schema of programs that speak version 1.1.
 const SECOND: (Version, u32) = (Version { major: 1, minor: 1 }, 0x17ad_ceff);
 
-/// A restarted node with a script that is held back. `time_out` is that of a port to another node.
+/// A restarted node with a script that is held back. `time_out` belongs to a port to another node.
 fn restarted(time_out: Ticks) -> Runtime {
     let mut cell = cell(&[0, 1], Ticks(2_000));
     cell.port(ask(time_out));

@@ -70,8 +70,8 @@ pub struct CellFaultArgs {
 /// The times at which the actions of a cell may end, and its packets may arrive, in the search.
 #[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Times {
-    /// Every tick: `every` if that needs few states, else `zones`. What does not end in three quarters of the time of
-    /// --within is searched at `ends`. With pauses or drift: the first of `every`, `between` and `ends` that needs few
+    /// Every tick: `every` if that needs few states, else `zones`. A search that does not end in three quarters of
+    /// --within goes on with `ends`. With pauses or drift: the first of `every`, `between` and `ends` that needs few
     /// enough states.
     #[default]
     Auto,

@@ -104,7 +104,8 @@ impl SearchProgress for SearchLines<'_> {
         };
         bar.set_position(((so_far.states - so_far.open) * 100).checked_div(so_far.states).unwrap_or(0));
         let (states, open) = (grouped(so_far.states), grouped(so_far.open));
-        bar.set_message(format!("{ends}: {states} states, {open} to look at; {title}"));
+        let noun = if so_far.states == 1 { "state" } else { "states" };
+        bar.set_message(format!("{ends}: {states} {noun}, {open} to look at; {title}"));
     }
 
     fn found(&self, found: &FoundSoFar<'_>) {

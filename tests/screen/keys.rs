@@ -220,7 +220,7 @@ fn a_screen_is_written_as_text_and_a_recording_exported() {
         let said = run_in(demo.dir(), &["export", recorded, "--to", form, "--out", &out]);
         assert_eq!(said.code, Some(0), "{said:?}");
         let bytes = std::fs::read(&out).expect("the export");
-        // How much content the file has varies. The tasks in it do not, because the test has waited for events of every node.
+        // The length of the file varies. Its tasks do not, because the test has waited for events of every node.
         let text = String::from_utf8_lossy(&bytes);
         assert!(bytes.starts_with(begin) && text.contains("armL"), "{form}: {text}");
     }

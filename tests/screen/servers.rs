@@ -197,7 +197,7 @@ fn figure<'a>(screen: &'a str, within: &str, figure: &str) -> Option<&'a str> {
     words.find(|word| *word == figure)
 }
 
-/// A counter of the receiving end of a port: the number so many columns after the expired messages.
+/// A counter in the row of a port's receiving end: the number that stands `after` columns behind the expired messages.
 fn counter(screen: &str, port: &str, usage: &str, after: usize) -> u64 {
     let row = screen.lines().find(|line| line.contains(port) && line.contains(usage)).unwrap_or("");
     // The cells are the port, class, usage, `4 parties`, the queue and its bar, slack, rate, and then the counters.

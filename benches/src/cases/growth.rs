@@ -238,7 +238,8 @@ impl NodeOutbox for Expired {
     }
 }
 
-/// Messages wait whose times end one after the other, in an order other than that in which they were sent.
+/// Measures the expiry of one message while `waiting` messages wait. They expire one by one, but not in the order in
+/// which they were sent.
 fn expiry(effort: Effort, table: &Arc<CellTable>, waiting: u16) -> Sample {
     const STEP: u64 = 1_000;
     let mut node = Node::new(NodeTable::new(Arc::clone(table), NodeId(0)), Incarnation(0), false, 4);

@@ -18,7 +18,7 @@ pub mod wire;
 
 use crate::suite::Suite;
 
-/// All suites, with the other libraries of this build.
+/// All suites. A build with features such as `peers` also measures other libraries in them.
 #[must_use]
 pub fn all() -> Vec<Suite> {
     let mut suites = vec![

@@ -135,7 +135,7 @@ fn changes(suite: &mut Suite) {
 /// The measured time of a round trip.
 #[derive(Clone, Copy)]
 enum Measured {
-    /// The time that passes. The count of the sample is the share of the processor time that serves monitors.
+    /// The wall-clock time. The sample also counts which share of the processor time serves monitors.
     Passed,
     /// The processor time of the thread that asks.
     Own,

@@ -13,7 +13,7 @@ mod posts;
 
 use crate::suite::Suite;
 
-/// Adds the other libraries of this build to the suites.
+/// Adds to the suites the libraries that the features of this build name.
 pub fn join(suites: &mut [Suite]) {
     for suite in suites {
         #[cfg(feature = "peers")]

@@ -1,6 +1,6 @@
 //! The grammar of names, numbers, durations and expressions.
 
-use super::failure::{Failure, NAME};
+use super::failure::{EXPRESSION, Failure, NAME};
 use super::{Extra, Tokens};
 use crate::ast::{Duration, Expr, ExprKind, Name, Number, Place, Rate};
 use crate::codes::{NUMBER, UNCLEAR_NOT, UNIT};
@@ -210,7 +210,7 @@ pub(super) fn expr<'t>(text: &'t str) -> impl Part<'t, Expr> {
         let sum = chain(product, plus).boxed();
         let negated = negated(comparison(sum)).boxed();
         let both = chain(negated, just(Kind::Word(Word::And)).to(Binary::And)).boxed();
-        chain(both, just(Kind::Word(Word::Or)).to(Binary::Or)).boxed().labelled("an expression")
+        chain(both, just(Kind::Word(Word::Or)).to(Binary::Or)).boxed().labelled(EXPRESSION)
     })
     .boxed()
 }

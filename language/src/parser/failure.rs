@@ -37,6 +37,8 @@ pub(super) const NAME: &str = "a name";
 /// A label of the grammar that diagnostics treat specially.
 pub(super) const TYPE: &str = "a type";
 /// A label of the grammar that diagnostics treat specially.
+pub(super) const EXPRESSION: &str = "an expression";
+/// A label of the grammar that diagnostics treat specially.
 pub(super) const OPTION: &str = "an option";
 /// A label of the grammar that diagnostics treat specially.
 pub(super) const USAGE: &str = "a usage (`send`, `receive`, `reply`, `query`, `response`, `waitfor`)";
@@ -158,7 +160,7 @@ pub(super) fn unexpected(expected: &[Expected], found: &Found<'_>, end: &str) ->
             .help("remove it");
     }
     let diagnostic = Diagnostic::error(UNEXPECTED, found.span, format!("expected {wanted}, found {what}"));
-    let help = if let Some(help) = foreign_sign(expected, found.kind, end) {
+    let help = if let Some(help) = foreign_sign(expected, found, end) {
         help.to_owned()
     } else if can_end && !starts_anew {
         "write `;` here, or remove what follows".replace("`;`", &format!("`{end}`"))
@@ -172,7 +174,11 @@ pub(super) fn unexpected(expected: &[Expected], found: &Found<'_>, end: &str) ->
 fn foreign_line(expected: &[Expected], found: &Found<'_>, end: &str) -> Option<Diagnostic> {
     let wants_record = expected.contains(&Expected::Token(Kind::Word(Word::Record)));
     let (wanted, help) = match found.kind {
-        Some(Kind::Name) if found.first_of_line && end == "begin" => {
+        Some(kind)
+            if found.first_of_line
+                && end == "begin"
+                && (kind == Kind::Name || foreign::is_type(found.text)) =>
+        {
             ("`port`, `use_port`, `var` or `begin`", foreign::in_task(found.text))
         }
         Some(Kind::Name) if wants_record && foreign::is_known(found.text) => {
@@ -185,15 +191,22 @@ fn foreign_line(expected: &[Expected], found: &Found<'_>, end: &str) -> Option<D
 }
 
 /// What to write in place of a sign of another language that the grammar did not expect.
-fn foreign_sign(expected: &[Expected], found: Option<Kind>, end: &str) -> Option<&'static str> {
-    match (found?, end) {
+fn foreign_sign(expected: &[Expected], found: &Found<'_>, end: &str) -> Option<&'static str> {
+    let wants = |kind: Kind| expected.contains(&Expected::Token(kind));
+    match (found.kind?, end) {
         (Kind::BracketOpen, _) => Some(foreign::NO_ARRAYS),
         (Kind::BraceOpen, "then") => Some("write `then`, and `end;` in place of `}`"),
         (Kind::BraceOpen, "do") => Some("write `do`, and `end;` in place of `}`"),
         (Kind::Equal | Kind::Assign, ";") => Some(
             "an assignment is a statement behind `begin`: `x := 1;`; a variable is zero or `false` at first",
         ),
-        (Kind::ParenOpen, _) if expected.contains(&Expected::Token(Kind::Assign)) => {
+        (Kind::Name, _) if wants(Kind::Colon) => Some(foreign::TYPE_BEHIND),
+        (Kind::Name, _) => foreign::operator(found.text),
+        (Kind::Text, _) if expected.contains(&Expected::Label(EXPRESSION)) => Some(foreign::NO_TEXTS),
+        (Kind::Comma, _) if wants(Kind::ParenClose) => {
+            Some("a function of several values is an action: `run NAME x, y -> z;`, and a driver computes it")
+        }
+        (Kind::ParenOpen, _) if wants(Kind::Assign) => {
             Some("there are no methods: an action outside is carried out by `run NAME x;`")
         }
         _ => None,
@@ -222,9 +235,11 @@ pub(super) fn misspelt(span: Span, text: &str, word: Word) -> Diagnostic {
 /// The diagnostic for a reserved keyword in place of a name.
 pub(super) fn reserved(span: Span, text: &str) -> Diagnostic {
     let message = format!("`{text}` is a keyword: choose another name");
-    Diagnostic::error(RESERVED, span, message)
-        .label("a name is expected here")
-        .help(format!("write another name, such as `{text}_1`"))
+    let found = Diagnostic::error(RESERVED, span, message).label("a name is expected here");
+    if foreign::is_type(text) {
+        return found.help(foreign::TYPE_BEHIND);
+    }
+    found.help(format!("write another name, such as `{text}_1`"))
 }
 
 /// The option or other keyword that was probably meant.

@@ -107,7 +107,7 @@ impl<'a> Resolver<'a> {
     pub(super) fn record(&mut self, name: &'a Name) -> Option<usize> {
         let at = self.records.get(&name.text);
         if at.is_none() && self.poison.records.insert(&name.text) {
-            let plain = ["bool", "int8", "int16", "int32", "integer", "word", "real"];
+            let plain = crate::foreign::PLAIN_TYPES;
             let found = match foreign::data_type(&name.text) {
                 Some(help) => nothing_called("type", name).help(help),
                 None => unknown("type", name, self.records.all().chain(plain)),

@@ -107,6 +107,10 @@ fn types_of_other_languages_are_explained() {
         ("duration", "delay"),
         ("TON", "start"),
         ("mutex", "owns"),
+        ("uint8_t", "word"),
+        ("enum", "numbers"),
+        ("signaldi", "driver"),
+        ("event", "handler"),
     ];
     for (other, ours) in types {
         let text = format!(

@@ -10,7 +10,7 @@ use imrs_protocol::rules::{Confirmation, Rules};
 pub(super) const DELAY: u8 = 1;
 pub(super) const RESEND: u64 = 2;
 
-/// A meeting in which time passes. Up to `losses` packets are lost, and the margin must cover so many losses.
+/// A meeting in which time passes. Up to `losses` packets are lost, and the margin must cover them.
 pub(super) fn timed(members: usize, watch: Watch, losses: u8, margin: u64, time_out: u64) -> Meeting {
     Meeting {
         time_out: Some(time_out),

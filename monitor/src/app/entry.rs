@@ -88,8 +88,8 @@ impl App {
         Effect::Draw
     }
 
-    /// Ends the typing before something else is done. What was typed of a filter stays the filter of its screen. Returns
-    /// whether a line was open.
+    /// Closes the input line before the monitor does something else. A filter that was typed only in part stays the filter of
+    /// its screen. Returns whether a line was open.
     pub(super) fn leave_line(&mut self) -> bool {
         self.entry_line.take().is_some()
     }

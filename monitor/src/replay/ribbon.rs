@@ -55,8 +55,8 @@ impl Ribbon {
         u16::try_from(at).unwrap_or(u16::MAX).min(width.saturating_sub(1))
     }
 
-    /// The place that a column stands for, if the bar has `width` columns: that of an anomaly if it has one, otherwise
-    /// its beginning.
+    /// The place in the recording for which a column stands, if the bar has `width` columns. This is the place of an anomaly,
+    /// or the beginning of the column if it has no anomaly.
     #[must_use]
     pub fn place_of(&self, column: u16, width: u16) -> u64 {
         if let Some(odd) = self.odd.iter().find(|place| self.column(**place, width) == column) {

@@ -71,7 +71,7 @@ impl Silences {
 }
 
 impl Silence {
-    /// The other node has sent so many packets.
+    /// Notes that the other node has sent `count` packets by the moment `at`.
     fn has_sent(&mut self, at: Moment, count: u64) {
         if at.saturating_sub(self.heard) < SETTLED {
             self.before = count;

@@ -170,7 +170,7 @@ impl Entry {
         has(self.kind()) || has(self.node.shown()) || has(&self.object()) || has(&self.detail())
     }
 
-    /// What two entries have in common of which one repeats the other.
+    /// The fields that are equal in two entries if one repeats the other.
     fn subject(&self) -> impl PartialEq + Hash + use<'_> {
         let (observed, noticed) = match &self.what {
             What::Observed { task, observation: o } => (Some((task, o.event, o.port, o.peer)), None),

@@ -64,13 +64,13 @@ pub struct Timeline {
     pub gaps: Vec<Gap>,
 }
 
-/// The last marks of a cell, at most `most`.
+/// The newest events that the timeline draws of a cell, at most `most`.
 #[must_use]
 pub fn timeline(store: &Store, cell: &Name, most: usize) -> Timeline {
     timeline_of(store, cell, most, |_| true)
 }
 
-/// The last marks of a cell, at most `most`, of the events that `wanted` selects.
+/// As [`timeline`], but only of the events that `wanted` selects.
 #[must_use]
 pub fn timeline_of(store: &Store, cell: &Name, most: usize, wanted: impl Fn(&Seen) -> bool) -> Timeline {
     let incarnations: BTreeSet<IncarnationId> =
@@ -168,7 +168,7 @@ const fn packed(port: PortId, kind: Kind, number: u32) -> u64 {
     (port.0 as u64) << 40 | (kind as u64) << 32 | number as u64
 }
 
-/// The key under which a mark may be a cause.
+/// The key under which later events find this event as their cause; `None` if it causes no other event.
 fn act(mark: &Mark) -> Option<Act> {
     let what = mark.seen.what;
     let kind = match what.event {

@@ -43,7 +43,7 @@ pub(super) fn accuse(
         }
         return;
     }
-    // The row of a port shows only its own findings, and that of an open node leaves it to the rows of its tasks.
+    // The row of a port shows only its own findings. The row of an open node shows none, because the rows of its tasks do.
     let is_of_row = |task| app.incarnation_of_task(task).is_some_and(|node| row.place.node == Ok(node.id));
     let is_held = |blocker: &Blocker| match row.depth {
         0 if !row.open => blocker.held().iter().any(|task| is_of_row(*task)),

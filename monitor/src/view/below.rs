@@ -36,7 +36,7 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
         canvas.at(x, 0, room.saturating_sub(x), &text, ink);
         // Half of a wide character is not drawn, and its column stays free.
         x = end.min(room);
-        // What is said of all links is explained by the word before it.
+        // A text about all links leads to the explanation of the label `links`.
         canvas.target(start, 0, x - start, place.map_or(Hit::Column("links"), Hit::Place));
     }
     let start = x;

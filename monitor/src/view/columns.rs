@@ -16,11 +16,12 @@ const OPEN: u16 = 12;
 const NAME: u16 = 14;
 /// The least width of the column with the queues: its title.
 const QUEUE: u16 = 5;
-/// The shortest text of a node's state never gets fewer columns than it needs, up to this number.
+/// The state of a node has several texts. The column of states always has the width of the shortest one, up to this width.
 const SHORTEST_STATE: u16 = 20;
-/// The health has so many columns, if its texts need them, before sparklines and long states get more than their least.
+/// The health gets up to this many columns, if its texts need them, before sparklines and long states get more than
+/// their least width.
 const HEALTH_FIRST: u16 = 32;
-/// How many columns more than its least the state may take for sparklines.
+/// How many columns above its least width the state may take for sparklines.
 const SPARKS: u16 = 12;
 
 /// How many columns the longest cells on the screen need.
@@ -28,9 +29,9 @@ const SPARKS: u16 = 12;
 pub(super) struct Needs {
     pub name: u16,
     pub queue: u16,
-    /// The longest state.
+    /// The width of the longest text of a state, with the usual texts.
     pub state: u16,
-    /// The longest state of a node, when each node has the shortest of its texts.
+    /// The same width if each node shows the shortest of its texts.
     pub shortest_state: u16,
     /// Two widths of the longest state that has sparklines behind it: with the usual texts, and if each node shows the shortest
     /// of its texts.
@@ -50,7 +51,7 @@ pub(super) fn columns(
     let (name, state, cells): (u16, u16, &[usize]) = match screen {
         0..60 => (0, 0, &[0, 2, 3, HEALTH_CELL]),
         60..80 => (18, 14, &[0, 1, 2, 3, HEALTH_CELL]),
-        // What has expired is counted in the health, too, which needs the room more.
+        // The column of expired messages is left out: the health counts them, too, and needs the width more.
         80..90 => (20, 22, &[0, 1, 2, 3, HEALTH_CELL]),
         90..116 => (20, 28, &[0, 1, 2, 3, 5, HEALTH_CELL]),
         116..160 => (26, 32, &[0, 1, 2, 3, 4, 5, 6, 7, HEALTH_CELL]),

@@ -47,7 +47,7 @@ impl Stage {
         Self::crowd_for(theme, 80)
     }
 
-    /// The same after so many tenths of a second. Node 3 dies at [`CROWD_DEATH`].
+    /// As [`crowd`](Self::crowd), after `tenths` tenths of a second. Node 3 dies at [`CROWD_DEATH`].
     pub fn crowd_for(theme: Theme, tenths: u64) -> Self {
         Self::crowd_that(theme, tenths, false)
     }

@@ -1,8 +1,8 @@
 //! Explores the orders in which the threads of a node may handle what happens at one time (D170).
 //!
 //! Each communication task takes its inputs one after the other, and the thread that brought an input carries out its
-//! effects. If two tasks have an input at the same time, either may be first. What the first task sends to the second may
-//! arrive before or after the second task's own input. A checker lets time pass with [`let_pass`](Node::let_pass), takes
+//! effects. If two tasks have an input at the same time, either may be first. A message of the first task to the second
+//! may arrive before or after the second task's own input. A checker lets time pass with [`let_pass`](Node::let_pass), takes
 //! one of the inputs that [`open`](Node::open) lists by [`take`](Node::take), and routes its effects with
 //! [`file`](Node::file).
 

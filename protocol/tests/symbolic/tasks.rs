@@ -1,4 +1,4 @@
-//! Communication tasks on symbols.
+//! Tests communication tasks that compute with symbolic times instead of numbers.
 
 use super::{Clock, Evaluate, Run, State, on_symbols, random_runs_are_alike, showing};
 use crate::support::world::{Op, World};

@@ -23,7 +23,32 @@ pub const TRANSIT_CAPACITY: u16 = 1024;
 /// another core.
 pub const SPIN: Duration = Duration::from_micros(50);
 
-/// Collects everything that a node needs before it starts. [`Runtime::builder`] makes one.
+/// Collects everything that a node needs before it starts. [`Runtime::builder`] makes one, each method sets one thing, and
+/// [`start`](Self::start) starts the node. Every task of the node needs a program: a function, a future or a script.
+///
+/// ```
+/// use imrs_protocol::{Cell, CellTable, Ticks};
+/// use imrs_runtime::{Runtime, TaskEnd};
+/// use std::{sync::Arc, time::Duration};
+///
+/// let mut cell = Cell::new("two", Ticks(1_000));
+/// let here = cell.node("here");
+/// cell.task("thread", here);
+/// cell.task("future", here);
+/// let table = Arc::new(CellTable::new(cell).expect("a sound cell"));
+///
+/// let node = Runtime::builder(table, here)
+///     .spin(Duration::ZERO)
+///     .task("thread", |ctx| ctx.delay(Duration::from_millis(1)))
+///     .async_task("future", |mut ctx: imrs_runtime::AsyncContext| async move {
+///         ctx.delay(Duration::from_millis(1)).await
+///     })
+///     .start()
+///     .expect("a node that starts");
+/// assert!(node.wait(Duration::from_secs(10)), "both tasks end");
+/// let ends = node.stop(Duration::from_secs(10));
+/// assert!(ends.iter().all(|(_, end)| *end == TaskEnd::Returned));
+/// ```
 #[must_use = "a node runs only once started"]
 pub struct Builder {
     cell: Arc<CellTable>,

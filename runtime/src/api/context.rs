@@ -29,6 +29,40 @@ use std::time::Duration;
 /// node stops.
 ///
 /// `S` is the state that the program and its handlers share: see [`with_state`](Self::with_state).
+///
+/// ```
+/// use imrs_protocol::{Cell, CellTable, PortDecl, Ticks, Usage};
+/// use imrs_runtime::{Context, Runtime, TaskEnd, TaskError};
+/// use std::{sync::Arc, time::Duration};
+///
+/// /// Waits for a part, at most 5 s, and answers with its number.
+/// fn press(ctx: &mut Context) -> Result<(), TaskError> {
+///     let part = ctx.port("part")?;
+///     match ctx.receive(Some(part), Some(Duration::from_secs(5)))? {
+///         Some(message) => ctx.reply(&message.from, message.contents.as_bytes()),
+///         None => Ok(()),
+///     }
+/// }
+///
+/// let mut cell = Cell::new("line", Ticks(1_000));
+/// let here = cell.node("here");
+/// let (robot, machine) = (cell.task("robot", here), cell.task("press", here));
+/// cell.port(PortDecl::new("part", robot, Usage::Send, &[machine], Ticks(5_000_000)).command());
+/// let table = Arc::new(CellTable::new(cell).expect("a sound cell"));
+///
+/// let node = Runtime::builder(table, here)
+///     .task("press", press)
+///     .task("robot", |ctx| {
+///         let part = ctx.port("part")?;
+///         let sent = ctx.send(part, &[7])?;
+///         assert_eq!(sent.reply().expect("the press answers in time").as_bytes(), [7]);
+///         Ok(())
+///     })
+///     .start()
+///     .expect("a node that starts");
+/// assert!(node.wait(Duration::from_secs(10)));
+/// assert!(node.stop(Duration::from_secs(10)).iter().all(|(_, end)| *end == TaskEnd::Returned));
+/// ```
 pub struct Context<S = ()> {
     /// The state that the program and its handlers share.
     pub state: S,

@@ -8,7 +8,7 @@ use imrs_protocol::invariants::Violation;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("step {index} of {task} put out something else than recorded: {step:?}")]
 pub struct Divergence {
-    /// The task of the communication task.
+    /// The task whose communication task was recorded.
     pub task: TaskId,
     /// The number of the step, counted from zero. Steps that were not recorded do not count.
     pub index: usize,
@@ -41,7 +41,7 @@ pub enum Verdict {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("at step {index} of {task}: {violation}")]
 pub struct InvariantBroken {
-    /// The task of the communication task.
+    /// The task whose communication task was recorded.
     pub task: TaskId,
     /// The number of the step, counted as in [`Divergence`].
     pub index: usize,

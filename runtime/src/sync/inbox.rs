@@ -177,7 +177,7 @@ impl<I: Slotted, P: Plants<Plant>> Inbox<I, P> {
         self.holds(ROOM / 2)
     }
 
-    /// Whether there are at least so many inputs.
+    /// Whether there are at least `count` inputs.
     fn holds(&self, count: u64) -> bool {
         let last = self.taken.0.load(Ordering::Relaxed) + count;
         self.slot(last - 1).number.load(Ordering::Relaxed) >= last

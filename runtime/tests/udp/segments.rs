@@ -111,8 +111,8 @@ fn a_link_that_may_not_segment_is_heard_by_one_that_puts_together_and_the_other_
 }
 
 /// Packets that a thread sends together reach the link in one call, and each datagram begins with its most urgent
-/// packet. The packets of the first datagram leave first nevertheless: otherwise so many packets could overtake a
-/// message that it would count as an old one (D75).
+/// packet. The packets of the first datagram leave first nevertheless. Otherwise more than 63 packets could overtake a
+/// message, and the receiver would drop it as an old copy (D75).
 #[test]
 fn what_is_said_together_leaves_in_one_call_the_most_urgent_of_each_datagram_first() {
     let (a, b) = (Arc::new(link(A)), link(B));

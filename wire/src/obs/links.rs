@@ -63,8 +63,8 @@ pub struct Integrity {
     pub is_faulty: bool,
     /// How often the link has begun to count as faulty.
     pub faults: u64,
-    /// In how many windows more than that number of damaged datagrams came, although not so many of the neighbour's own
-    /// datagrams were missing. Then another program probably sent the damaged ones, under the neighbour's address.
+    /// The number of windows in which too many datagrams were damaged, but fewer of the neighbour's datagrams were missing.
+    /// Then another program probably sent the damaged ones, under the neighbour's address.
     pub unmatched: u64,
 }
 

@@ -86,7 +86,7 @@ impl Cable {
         Self { shared, threads }
     }
 
-    /// Loses so many of a hundred packets from now on.
+    /// Loses `percent` of a hundred packets from now on.
     pub fn lose(&self, percent: u8) {
         self.shared.loss.store(percent, Ordering::Relaxed);
     }

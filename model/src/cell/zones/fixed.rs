@@ -107,7 +107,8 @@ struct Run {
     moves: Vec<CellMove>,
 }
 
-/// Moves that lead to a finding by the tick `until`, with these times; `None` if none were found. What has no time here ends as soon as it may.
+/// Moves that lead to a finding by the tick `until`, with the times of `timing`; `None` if none were found. An action, timer
+/// or packet without a time in `timing` ends as soon as it may.
 pub fn moves_with(
     plan: &Arc<CellPlan>,
     (phase, faults): (Phase, &CellFaults),

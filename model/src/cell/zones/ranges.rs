@@ -26,7 +26,7 @@ const INSTANTS: usize = 200;
 /// The most other orders of events in which a finding is looked for, to widen its ranges.
 const PATHS: u32 = 64;
 
-/// How many ticks later the finding may come in another order of events, besides twice its tick.
+/// In another order of events the finding may come after up to twice its ticks, and this many ticks more.
 const LONGER: u64 = 100;
 
 /// An instant at which something happens, and the moves of this instant.
@@ -81,7 +81,7 @@ pub(super) fn ranges(
     told.into_iter().map(|(_, range)| range).filter(is_uncertain).collect()
 }
 
-/// The same times, but that of one action or packet is a tick beyond its range; `None` if the cell declares no such time.
+/// Puts the time of one action or packet a tick beyond its range; `None` if the cell declares no such time.
 fn next(range: &TimeRange, (number, is_long): (Number, bool), mut timing: Timing) -> Option<Timing> {
     let (ticks, _) = timing.get_mut(&number)?;
     *ticks = range.beyond(*ticks, is_long)?;

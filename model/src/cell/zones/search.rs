@@ -18,9 +18,9 @@ use std::time::Instant;
 /// A finding of a run from a kept state.
 pub(super) struct Hit {
     pub shown: Shown,
-    /// The number of the kept state in which the run began; `None`: the run began at the start. The next field has the
-    /// answers of the run.
+    /// The number of the kept state in which the run began; `None`: the run began at the start.
     pub state: Option<u32>,
+    /// The run's choices where a comparison of symbolic times was open, in their order.
     pub answers: Box<[u16]>,
     /// The number of moves from the beginning of the run to the finding.
     pub moves: usize,

@@ -144,7 +144,7 @@ impl Outstanding {
         self.recipients.iter().position(|recipient| open && recipient.waits_for(id))
     }
 
-    /// Notes that a recipient was sent a message of so many packets.
+    /// Notes that a message of `packets` packets was sent to a recipient.
     #[inline]
     pub fn sent(&mut self, recipient: usize, id: MessageId, packets: u8) {
         let recipient = &mut self.recipients[recipient];

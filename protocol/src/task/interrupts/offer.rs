@@ -17,8 +17,8 @@ pub(crate) struct Offer {
 pub(crate) enum Turn {
     /// A change of the task's lease interrupts it: it has lost the lease, or takes over (D61).
     Lease,
-    /// A capped message, which was rejected as often as ranks stand above it. The message with the earliest first rejection
-    /// goes first (D58).
+    /// A capped message: ranks stand above it, and it was rejected once for each of them. Of several capped messages, the
+    /// one that was rejected first goes first (D58).
     Capped(u64),
     /// A message of a port that was bypassed too often. The port with the most bypasses goes first, so the count is
     /// inverted.

@@ -63,10 +63,10 @@ impl Room {
 }
 
 impl UdpLink {
-    /// Takes one datagram of each socket that was reported to the leader, with the datagrams that the kernel merged with it.
+    /// Takes one datagram, with those that the kernel merged with it, from each socket that was reported to the leader.
     /// Datagrams that come later are reported to the polling thread. Returns false if another thread receives from one of the
-    /// sockets, because that thread then takes the datagram, too. To see that a socket is empty costs one more syscall. So
-    /// this function does that only once in a while: nothing depends on it while the kernel's stamps can be trusted.
+    /// sockets: that thread takes the datagram. Reading on until a socket is empty costs one more syscall. While the kernel
+    /// stamps the datagrams nothing depends on it, so it is done only after `EMPTY_OFTEN`.
     pub(super) fn take_told(&self, told: &ReadySockets, sink: &dyn Sink) -> bool {
         self.with_room(|room| {
             let mut all = true;

@@ -63,7 +63,8 @@ impl Known {
 pub(super) enum Contact {
     /// The datagram is from the known session.
     Known,
-    /// The datagram is from the known session, whose newest counter so far was wrong.
+    /// The datagram is from the known session. The counter that was held to be the session's newest came from a stray
+    /// datagram, and has been replaced.
     Resumed,
     /// The datagram is from a session that was not known before. `restarted` says whether an earlier session may have taken
     /// requests.

@@ -121,12 +121,12 @@ fn get<const RECORDS: bool>(
     done
 }
 
-/// The parts of two members in a fused step that are to be recorded.
+/// The records of the two tasks of a fused step: the task that asks, and its partner.
 struct Parts<'a> {
-    /// The records of the task itself, and of the other one.
+    /// The records of the task that asks, and of its partner.
     own: Option<&'a mut Logged>,
     other: Option<&'a mut Logged>,
-    /// The packet that the task sends to the other one.
+    /// The packet that the task sends to its partner.
     packet: Option<Packet>,
     /// The digest of the task's outputs when its first request was accepted.
     first: OutputDigest,
@@ -153,7 +153,7 @@ impl<'a> Parts<'a> {
         }
     }
 
-    /// Records the requests of the task itself, and what the other one takes.
+    /// Records the requests of the task that asks, and what its partner takes.
     fn record(self, request: &Request, then: Option<&Request>) {
         if let Some(own) = self.own {
             own.own(request, then, self.first);

@@ -23,6 +23,34 @@ type OnTimer<S> = Rc<dyn Fn(&mut S) -> Result<(), TaskError>>;
 /// Calls that wait are `async` functions, and mean the same as those of [`Context`](crate::Context) with the same name. Calls
 /// that never wait are plain functions.
 ///
+/// ```
+/// use imrs_protocol::{Cell, CellTable, PortDecl, Ticks, Usage};
+/// use imrs_runtime::{AsyncContext, Rendezvous, Runtime, TaskEnd, TaskError};
+/// use std::{sync::Arc, time::Duration};
+///
+/// /// Starts together with the other arm, or not at all.
+/// async fn arm(mut ctx: AsyncContext) -> Result<(), TaskError> {
+///     let lift = ctx.port("lift")?;
+///     let meeting = ctx.waitfor(lift).await?;
+///     assert!(matches!(meeting, Rendezvous::Released { .. }), "both arms are here");
+///     Ok(())
+/// }
+///
+/// let mut cell = Cell::new("lift", Ticks(1_000));
+/// let here = cell.node("here");
+/// let (left, right) = (cell.task("left", here), cell.task("right", here));
+/// cell.port(PortDecl::new("lift", left, Usage::Waitfor, &[right], Ticks(5_000_000)));
+/// let table = Arc::new(CellTable::new(cell).expect("a sound cell"));
+///
+/// let node = Runtime::builder(table, here)
+///     .async_task("left", arm)
+///     .async_task("right", arm)
+///     .start()
+///     .expect("a node that starts");
+/// assert!(node.wait(Duration::from_secs(10)));
+/// assert!(node.stop(Duration::from_secs(10)).iter().all(|(_, end)| *end == TaskEnd::Returned));
+/// ```
+///
 /// # Dropped futures
 ///
 /// A call makes its request when its future is first polled. The future of a call that waits may be dropped before it is ready, as `select!` does. The communication task then cancels the
