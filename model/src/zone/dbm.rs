@@ -8,9 +8,9 @@ use std::fmt;
 /// The value that stands for no bound.
 const FREE: i32 = i32::MAX;
 
-/// The greatest difference of two variables that a matrix can describe: 17 minutes with ticks of a microsecond. A bound
+/// The greatest difference of two variables that a matrix can describe: 35 minutes with ticks of a microsecond. A bound
 /// beyond it is replaced by a weaker one ([`Dbm::is_weakened`]), so the set may have more points, and never fewer.
-const FAR: i64 = 1 << 30;
+const FAR: i64 = (1 << 31) - 1;
 
 /// A non-empty set of integer points. For each pair of variables the matrix holds the least `c` with `x_i - x_j <= c` at
 /// all points (closed), so two matrices are equal exactly if their sets are. The first variable is zero.
@@ -377,6 +377,14 @@ mod tests {
             assert_eq!(one.reaches(&point, &[3]), mine.iter().any(|p| is_like(&p)), "{one:?} {point:?}");
         }
         assert!(empty > 10, "{empty}");
+    }
+
+    #[test]
+    fn a_bound_beyond_the_limit_becomes_weaker() {
+        let mut dbm = Dbm::zero();
+        let new = dbm.add();
+        dbm.constrain(0, new, -3 * FAR).unwrap();
+        assert!(dbm.is_weakened() && dbm.bound(0, new) == Some(-FAR) && dbm.bound(new, 0).is_none());
     }
 
     #[test]
