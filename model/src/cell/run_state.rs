@@ -17,7 +17,7 @@ pub use step::CellMove;
 use super::plan::{CellFaults, CellPlan, Conduct, Holds, Times};
 use crate::cell_state::CellState;
 use crate::cell_state::plan::{CellScenario, Errand, Faults, TaskPlan, Transfer};
-use crate::state::{Packed, Violation};
+use crate::state::Violation;
 use checks::Evaluated;
 use imrs_protocol::script::{Activity, ScriptInput};
 use imrs_protocol::{TaskId, Ticks};
@@ -184,21 +184,6 @@ impl RunState {
                 left &= left - 1;
             }
         }
-    }
-
-    /// The packed cell state after a move; `None` if the move breaks a check, an invariant or the rule of one owner.
-    pub fn after(&mut self, state: &[u8], step: CellMove) -> Option<Packed> {
-        self.load(state);
-        self.apply(step);
-        self.cell.turns.iter_mut().for_each(Vec::clear);
-        let sound = self.broken.is_empty() && !self.both_active && self.cell.violation.is_none();
-        sound.then(|| self.cell.store())
-    }
-
-    /// The packed cell state without one of its packets in flight.
-    pub fn without(&mut self, packet: u8) -> Packed {
-        self.cell.in_flight.remove(usize::from(packet));
-        self.cell.store()
     }
 
     /// Makes a move, lets the scripts run, and evaluates the checks.

@@ -1,10 +1,16 @@
 //! Difference-bound matrices over integers: each describes a set of points by bounds on differences of variables.
 
+mod bounds;
+
+use bounds::Bounds;
 use std::fmt;
-use std::sync::Arc;
 
 /// The value that stands for no bound.
-const FREE: i64 = i64::MAX;
+const FREE: i32 = i32::MAX;
+
+/// The greatest difference of two variables that a matrix can describe: 35 minutes with ticks of a microsecond. A bound
+/// beyond it is replaced by a weaker one ([`Dbm::is_weakened`]), so the set may have more points, and never fewer.
+const FAR: i64 = (1 << 31) - 1;
 
 /// A non-empty set of integer points. For each pair of variables the matrix holds the least `c` with `x_i - x_j <= c` at
 /// all points (closed), so two matrices are equal exactly if their sets are. The first variable is zero.
@@ -14,22 +20,28 @@ const FREE: i64 = i64::MAX;
 #[derive(Clone, PartialEq, Eq, Hash)]
 pub(crate) struct Dbm {
     len: usize,
-    bounds: Arc<[i64]>,
+    bounds: Bounds,
 }
 
 /// The error that a constraint would make the set empty.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Empty;
 
+/// A bound as the matrix holds it.
+fn held(bound: i64) -> i32 {
+    if bound >= FAR { FREE } else { i32::try_from(bound.max(-FAR)).unwrap_or(FREE) }
+}
+
 /// A sum of two bounds.
-const fn plus(a: i64, b: i64) -> i64 {
-    if a == FREE || b == FREE { FREE } else { a + b }
+fn plus(a: i32, b: i64) -> i64 {
+    let free = i64::from(FREE);
+    if a == FREE || b >= free { free } else { i64::from(a) + b }
 }
 
 impl Dbm {
     /// The set that has only the variable zero.
     pub fn zero() -> Self {
-        Self { len: 1, bounds: Arc::new([0]) }
+        Self { len: 1, bounds: std::iter::once(0).collect() }
     }
 
     /// The number of variables, including the variable zero.
@@ -37,24 +49,30 @@ impl Dbm {
         self.len
     }
 
-    fn at(&self, i: usize, j: usize) -> i64 {
+    /// Whether a difference that is surely greater than the matrix can describe has become a weaker bound.
+    pub fn is_weakened(&self) -> bool {
+        self.bounds.iter().any(|&bound| bound == held(-FAR))
+    }
+
+    fn at(&self, i: usize, j: usize) -> i32 {
         self.bounds[i * self.len + j]
     }
 
     /// The least `c` with `x_i - x_j <= c` at all points; `None` if there is no such bound.
     pub fn bound(&self, i: usize, j: usize) -> Option<i64> {
-        Some(self.at(i, j)).filter(|&bound| bound != FREE)
+        Some(self.at(i, j)).filter(|&bound| bound != FREE).map(i64::from)
     }
 
     /// The difference of two variables, if it is the same at all points.
     pub fn difference(&self, i: usize, j: usize) -> Option<i64> {
-        let bound = self.bound(i, j)?;
-        (self.bound(j, i) == Some(-bound)).then_some(bound)
+        let (bound, back) = (self.at(i, j), self.at(j, i));
+        (bound != FREE && back == -bound).then_some(bound.into())
     }
 
     /// Whether `x_i - x_j <= c` at all points.
     pub fn entails(&self, i: usize, j: usize, c: i64) -> bool {
-        self.at(i, j) <= c
+        let bound = self.at(i, j);
+        bound != FREE && i64::from(bound) <= c
     }
 
     /// Whether `x_i - x_j <= c` at some point.
@@ -65,12 +83,18 @@ impl Dbm {
     /// Adds a variable without bounds, and returns its number.
     pub fn add(&mut self) -> usize {
         let (old, len) = (self.len, self.len + 1);
-        let mut bounds = vec![FREE; len * len];
-        for (row, new) in self.bounds.chunks(old).zip(bounds.chunks_mut(len)) {
-            new[..old].copy_from_slice(row);
+        let bounds = self.bounds.own();
+        bounds.resize(len * len, FREE);
+        // The last row moves first, so that no bound is overwritten before it has moved.
+        for row in (1..old).rev() {
+            bounds.copy_within(row * old..(row + 1) * old, row * len);
         }
+        for row in 0..old {
+            bounds[row * len + old] = FREE;
+        }
+        bounds[old * len..].fill(FREE);
         bounds[len * len - 1] = 0;
-        *self = Self { len, bounds: bounds.into() };
+        self.len = len;
         old
     }
 
@@ -86,15 +110,15 @@ impl Dbm {
             return Err(Empty);
         }
         // Only paths over the new bound can be shorter than before.
-        let (len, bounds) = (self.len, Arc::make_mut(&mut self.bounds));
+        let (len, bounds) = (self.len, self.bounds.own());
         for from in 0..len {
             let over = plus(bounds[from * len + i], c);
             // A path that is no shorter to `j` is no shorter to any other variable.
-            if over >= bounds[from * len + j] {
+            if over >= bounds[from * len + j].into() {
                 continue;
             }
             for to in 0..len {
-                let path = plus(over, bounds[j * len + to]);
+                let path = held(plus(bounds[j * len + to], over));
                 let bound = &mut bounds[from * len + to];
                 *bound = path.min(*bound);
             }
@@ -105,16 +129,28 @@ impl Dbm {
     /// The set of the values of these terms, each a variable and an offset. The first term is subtracted from all terms,
     /// and becomes the variable zero of the result. Variables that are not among the terms are forgotten.
     pub fn project(&self, terms: &[(usize, i64)]) -> Self {
-        let mut bounds = Vec::with_capacity(terms.len() * terms.len());
-        for &(i, a) in terms {
-            bounds.extend(terms.iter().map(|&(j, b)| plus(self.at(i, j), a - b)));
-        }
-        Self { len: terms.len(), bounds: bounds.into() }
+        let len = terms.len();
+        let (mut row, mut column) = (0, 0);
+        // An iterator of known length fills the shared bounds in place.
+        let bounds = (0..len * len).map(|_| {
+            let ((i, a), (j, b)) = (terms[row], terms[column]);
+            column += 1;
+            if column == len {
+                (row, column) = (row + 1, 0);
+            }
+            held(plus(self.at(i, j), a - b))
+        });
+        Self { len, bounds: bounds.collect() }
     }
 
     /// Whether all points of this set are also in `other`.
     pub fn is_in(&self, other: &Self) -> bool {
-        self.len == other.len && self.bounds.iter().zip(&*other.bounds).all(|(mine, others)| mine <= others)
+        // Without an early exit in each row, a row is compared by few instructions.
+        let rows = self.bounds.chunks(self.len).zip(other.bounds.chunks(self.len));
+        self.len == other.len
+            && rows.into_iter().all(|(mine, others)| {
+                mine.iter().zip(others).fold(true, |all, (mine, others)| all & (mine <= others))
+            })
     }
 
     /// The least set of this kind that contains all points of both sets.
@@ -130,37 +166,43 @@ impl Dbm {
     pub fn within(&self, first: &Self) -> Result<Self, Empty> {
         let mut both = self.clone();
         for (at, &bound) in first.bounds.iter().enumerate().filter(|(_, bound)| **bound != FREE) {
-            both.constrain(at / first.len, at % first.len, bound)?;
+            both.constrain(at / first.len, at % first.len, bound.into())?;
         }
         Ok(both)
     }
 
     /// The union of two sets over the same variables, if a matrix can describe it: if it equals the [hull](Self::hull).
     pub fn merged(&self, other: &Self) -> Option<Self> {
-        let hull = |i: usize, j: usize| self.at(i, j).max(other.at(i, j));
         // Each point of the hull outside the first set breaks a bound of the first set that is tighter than the hull's.
         // For each such bound, all points of the hull that break it must be in the second set. Among these points, the
         // bound for a pair is the lesser of the hull's bound and the path over the broken bound.
-        let is_outside = |(i, j, mine): (usize, usize, i64), (k, l, bound): (usize, usize, i64)| {
-            plus(plus(hull(k, j), hull(i, l)), -mine - 1) > bound
-        };
-        // Most pairs of sets fail at the first two bounds, before there is a list.
+        type Tighter = (usize, usize, i64);
+        fn is_outside(
+            hull: impl Fn(usize, usize) -> i32,
+            (i, j, mine): Tighter,
+            (k, l, bound): Tighter,
+        ) -> bool {
+            plus(hull(k, j), plus(hull(i, l), -mine - 1)) > bound
+        }
+        // Most pairs of sets fail at the first two bounds, before there is a hull.
         let first = self.tighter(other).next().zip(other.tighter(self).next());
-        if first.is_some_and(|(mine, others)| is_outside(mine, others)) {
+        let of_both = |i, j| self.at(i, j).max(other.at(i, j));
+        if first.is_some_and(|(mine, others)| is_outside(of_both, mine, others)) {
             return None;
         }
+        let hull = self.hull(other);
         let others: Vec<_> = other.tighter(self).collect();
-        if self.tighter(other).any(|mine| others.iter().any(|&other| is_outside(mine, other))) {
-            return None;
-        }
-        Some(self.hull(other))
+        let is_exact = self
+            .tighter(other)
+            .all(|mine| !others.iter().any(|&other| is_outside(|i, j| hull.at(i, j), mine, other)));
+        is_exact.then_some(hull)
     }
 
     /// The bounds that are less than those of another set over the same variables.
     fn tighter(&self, than: &Self) -> impl Iterator<Item = (usize, usize, i64)> {
         let both = self.bounds.iter().zip(&*than.bounds).enumerate();
         let less = both.filter(|(_, (mine, others))| mine < others);
-        less.map(|(at, (&mine, _))| (at / self.len, at % self.len, mine))
+        less.map(|(at, (&mine, _))| (at / self.len, at % self.len, mine.into()))
     }
 
     /// A point of the set. Its first value is that of the variable zero.
@@ -335,6 +377,14 @@ mod tests {
             assert_eq!(one.reaches(&point, &[3]), mine.iter().any(|p| is_like(&p)), "{one:?} {point:?}");
         }
         assert!(empty > 10, "{empty}");
+    }
+
+    #[test]
+    fn a_bound_beyond_the_limit_becomes_weaker() {
+        let mut dbm = Dbm::zero();
+        let new = dbm.add();
+        dbm.constrain(0, new, -3 * FAR).unwrap();
+        assert!(dbm.is_weakened() && dbm.bound(0, new) == Some(-FAR) && dbm.bound(new, 0).is_none());
     }
 
     #[test]

@@ -70,13 +70,16 @@ pub(crate) fn again<R>(zone: &Dbm, answers: &[u16], run: impl FnOnce(&Forks) -> 
     (result, zone)
 }
 
-/// Runs `run` if the zone decides all its comparisons, and if nothing in the run is inexact. Also returns the times of the
-/// state that `run` packs.
-pub(crate) fn decided<R>(zone: &Dbm, run: impl FnOnce() -> R) -> Option<(R, Dbm)> {
+/// Runs `run` if the zone decides all its comparisons, and if nothing in the run is inexact. Also returns the zone at the
+/// end, which holds the times of the state that `run` packs.
+pub(crate) fn decided<R>(zone: &Dbm, run: impl FnOnce() -> R) -> Option<(R, Forks)> {
     let forks = Forks::new(zone.clone(), Vec::new());
     let result = forks.within(run);
-    let cut = forks.0.borrow();
-    (cut.used == 0 && cut.is_exact).then(|| (result, cut.state()))
+    let is_decided = {
+        let cut = forks.cut();
+        cut.used == 0 && cut.is_exact
+    };
+    is_decided.then_some((result, forks))
 }
 
 impl Forks {

@@ -2,10 +2,10 @@
 
 use super::order::TickValues;
 use super::pause::Asleep;
-use super::{Beside, RunState, bit};
+use super::{Beside, CellMove, RunState, bit};
 use crate::cell::plan::{CellFaults, CellPlan, Holds, Times};
 use crate::cell_state::CellState;
-use crate::state::Violation;
+use crate::state::{Packed, Violation};
 use imrs_protocol::{Decode, Encode, Frame, Ticks, Walk};
 
 /// A marker that replaces the first byte of the cell state if a packed list follows: the values that nodes showed earlier
@@ -118,6 +118,13 @@ impl RunState {
         self.packed = packed;
     }
 
+    /// Loads a packed state, which then counts as the state that was packed last.
+    pub fn load_kept(&mut self, state: &[u8]) {
+        self.packed.clear();
+        self.packed.extend_from_slice(state);
+        self.load_packed();
+    }
+
     /// Loads a packed state.
     pub fn load(&mut self, state: &[u8]) {
         let mut at = Decode::read(state, true, |r| self.walk_beside(r));
@@ -133,6 +140,23 @@ impl RunState {
         self.cell.load_bytes(state.get(at..).unwrap_or_default());
         self.see_anew();
         self.checks.forget();
+    }
+
+    /// The packed cell state after an arrival; `None` if it sends a packet, or breaks a check, an invariant or the rule of one owner.
+    pub fn after(&mut self, state: &[u8], step: CellMove) -> Option<Packed> {
+        self.load(state);
+        let in_flight = self.cell.in_flight.len();
+        self.apply(step);
+        self.cell.turns.iter_mut().for_each(Vec::clear);
+        let is_silent = self.cell.in_flight.len() < in_flight;
+        let sound = self.broken.is_empty() && !self.both_active && self.cell.violation.is_none();
+        (is_silent && sound).then(|| self.cell.store())
+    }
+
+    /// The packed cell state without one of its packets in flight.
+    pub fn without(&mut self, packet: u8) -> Packed {
+        self.cell.in_flight.remove(usize::from(packet));
+        self.cell.store()
     }
 
     fn walk_beside<W: Walk>(&mut self, w: &mut W) {

@@ -14,6 +14,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 impl Runner {
     /// Drops the moves that lose a packet whose arrival changes nothing, as the search at every tick does: the arrival leads to the
     /// same control and the same times, with more faults left. Where the times decide what an arrival does, the moves stay.
+    /// `may_choose`: whether the run goes on if several moves remain.
     ///
     /// # Errors
     /// The state has no packed form.
@@ -22,29 +23,44 @@ impl Runner {
         forks: &Forks,
         run: &Run,
         moves: &mut Vec<CellMove>,
+        may_choose: bool,
     ) -> Result<(), Violation> {
         let mut taken: Vec<u8> = moves.iter().filter_map(|&step| takes_away(step)).collect();
         taken.dedup();
         if self.is_plain || taken.is_empty() {
             return Ok(());
         }
-        // Packing clears the dead parts of a state, but not the values that were computed from them. So the run goes on
-        // with the state that was packed.
-        forks.cut().begin_to_pack((START, run.now));
-        self.run_state.pack()?;
-        forks.cut().begin_to_read();
-        self.run_state.load_packed();
+        // A kept state in which the run has not moved yet is as it was packed.
+        let is_new = self.packed_at != Some(run.moves.len());
+        if is_new {
+            self.loosen(forks, START);
+            forks.cut().begin_to_pack((START, run.now));
+            self.run_state.pack()?;
+            self.packed_at = Some(run.moves.len());
+        }
+        self.leave_out_of(forks, run, &taken, moves);
+        if is_new && (may_choose || moves.len() == 1) {
+            // Packing clears the dead parts of a state, but not the values that were computed from them. So the run goes on
+            // with the state that was packed.
+            forks.cut().begin_to_read();
+            self.run_state.load_packed();
+        }
+        Ok(())
+    }
+
+    /// Drops the moves that lose one of the packets `taken` from the state that was packed last.
+    fn leave_out_of(&mut self, forks: &Forks, run: &Run, taken: &[u8], moves: &mut Vec<CellMove>) {
         // An earlier run from the same state, with the same answers, may have come to this point already.
         let answers = forks.cut().answers();
         let known = self.left.iter().find(|left| left.made == run.moves.len() && left.answers == answers);
         if let Some(known) = known {
             moves.clone_from(&known.moves);
-            return Ok(());
+            return;
         }
         let zone = forks.cut().state();
         let beside = &self.run_state.beside;
         let waits = !beside.stays.is_empty() || beside.slow != 0 || !beside.crashed.is_empty();
-        for &i in &taken {
+        for &i in taken {
             if !self.changes_nothing(&zone, i, moves) {
                 continue;
             }
@@ -56,7 +72,6 @@ impl Runner {
             });
         }
         self.left.push(LeftOut { answers, made: run.moves.len(), moves: moves.clone() });
-        Ok(())
     }
 
     /// Whether the arrival of a packet leads to the same state, at the same times, as a removal of the packet. Assumes
@@ -67,21 +82,22 @@ impl Runner {
         let Self { run_state, other, start, .. } = self;
         let control = run_state.packed();
         other.cell.is_sampled = false;
+        // Most arrivals are answered, which the first of the two runs shows.
+        let with = decided(zone, || catch_unwind(AssertUnwindSafe(|| other.after(control, arrives))));
+        let (with, after) = match with {
+            Some((Ok(Some(with)), after)) => (with, after),
+            // A step that panics may leave anything behind.
+            Some((Err(_), _)) => {
+                other.clone_from(start);
+                return false;
+            }
+            Some((Ok(None), _)) | None => return false,
+        };
         let without = decided(zone, || {
             other.load(control);
             other.without(packet)
         });
-        let Some((without, times)) = without else { return false };
-        let with = decided(zone, || catch_unwind(AssertUnwindSafe(|| other.after(control, arrives))));
-        match with {
-            Some((Ok(with), after)) => with == Some(without) && after == times,
-            // A step that panics may leave anything behind.
-            Some((Err(_), _)) => {
-                other.clone_from(start);
-                false
-            }
-            None => false,
-        }
+        without.is_some_and(|(without, times)| with == without && after.cut().state() == times.cut().state())
     }
 
     /// Widens the zone of the present state: adds states in which an action must end earlier than in this state. Such

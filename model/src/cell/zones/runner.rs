@@ -96,6 +96,8 @@ pub struct Runner {
     pub(super) other: RunState,
     /// The results of the reduction [`leave_out`](Self::leave_out) in the runs from the present kept state.
     pub(super) left: Vec<LeftOut>,
+    /// The number of moves after which the run's state was packed last.
+    pub(super) packed_at: Option<usize>,
     /// Whether the reductions that only a search by zones makes are switched off.
     pub(super) is_plain: bool,
     /// For a run that begins with the passing of time: the bounds on the time that may pass in its first state.
@@ -118,6 +120,7 @@ impl Runner {
             run_state: start.clone(),
             other: start.clone(),
             left: Vec::new(),
+            packed_at: None,
             start,
             is_plain: plan.everything,
             limits: Vec::new(),
@@ -144,13 +147,15 @@ impl Runner {
         let mut run = Run::default();
         let mut step = None;
         self.run_state.cell.is_sampled = is_sampled;
+        self.packed_at = None;
         match from {
             From::Start => {
                 self.run_state.clone_from(&self.start);
                 self.look(&mut run);
             }
             From::Kept(control) => {
-                self.run_state.load(control.get(1..).unwrap_or_default());
+                self.run_state.load_kept(control.get(1..).unwrap_or_default());
+                self.packed_at = Some(0);
                 if control.first() == Some(&QUIET) {
                     step = Some(CellMove::Pass);
                     run.now = 1;
@@ -195,7 +200,7 @@ impl Runner {
                 run.note(for_ever(&self.run_state, true));
             }
             if moves.len() > 1
-                && let Err(violation) = self.leave_out(forks, run, &mut moves)
+                && let Err(violation) = self.leave_out(forks, run, &mut moves, may_choose)
             {
                 return run.has_no_form(violation);
             }
@@ -302,16 +307,24 @@ impl Runner {
 
     /// Packs the state at which the run ends, so that it can be kept.
     fn keep(&mut self, forks: &Forks, kind: u8, now: (u8, i64), run: &mut Run) {
-        if !self.is_plain {
-            self.loosen(forks, now.0);
-        }
-        forks.cut().begin_to_pack(now);
-        match self.run_state.pack() {
+        match self.pack_for(forks, kind, now, run.moves.len()) {
             Ok(()) => {
                 let control = [&[kind], self.run_state.packed()].concat();
                 run.control = Some(control.into());
             }
             Err(violation) => run.has_no_form(violation),
         }
+    }
+
+    fn pack_for(&mut self, forks: &Forks, kind: u8, now: (u8, i64), made: usize) -> Result<(), Violation> {
+        // The reductions may have packed a state with a choice already.
+        if kind == CHOICE && self.packed_at == Some(made) {
+            return Ok(());
+        }
+        if !self.is_plain {
+            self.loosen(forks, now.0);
+        }
+        forks.cut().begin_to_pack(now);
+        self.run_state.pack()
     }
 }

@@ -77,9 +77,8 @@ impl Search {
             }
             let (states, open) = (self.store.states.len() as u64, self.store.open() as u64);
             progress.states(&SoFar { states, open, seconds, at_most_seconds: budget.seconds });
-            let runner = &self.runners[0];
             let most = usize::try_from(budget.states - done).unwrap_or(usize::MAX).min(BATCH);
-            let batch = self.store.next(most, |control| core(runner, control).1);
+            let batch = self.store.next(most);
             if batch.is_empty() {
                 return (most == 0 && open > 0).then(|| format!("{} states", budget.states));
             }
@@ -155,8 +154,9 @@ impl Runner {
         each(
             &zone,
             |forks| self.run(forks, from, is_sampled(at)),
-            |run: Run, cut: &Cut| {
+            |mut run: Run, cut: &Cut| {
                 let zone = run.control.is_some().then(|| cut.state());
+                run.outgrown |= zone.as_ref().is_some_and(Dbm::is_weakened);
                 let answers = cut.answers().into();
                 runs.push((run, Way { answers, zone, is_exact: cut.is_exact() }));
             },

@@ -16,8 +16,9 @@ pub struct Origin {
 
 /// A kept state.
 pub struct State {
-    /// The number of the state's control.
+    /// The number of the state's control. The next field is the number of the control's group.
     pub control: u32,
+    group: u32,
     /// The times of the state. `None`: another state includes these times.
     pub zone: Option<Dbm>,
     /// The other state that includes the times of this state.
@@ -41,6 +42,14 @@ struct Known {
     states: Vec<u32>,
 }
 
+/// The controls that differ only in their remaining faults.
+#[derive(Default)]
+struct Group {
+    /// The numbers of these controls.
+    controls: Vec<(Left, u32)>,
+    known: Vec<Known>,
+}
+
 /// All kept states of a search.
 #[derive(Default)]
 pub struct Store {
@@ -51,9 +60,9 @@ pub struct Store {
     pub states: Vec<State>,
     /// The controls by number.
     pub controls: Vec<Arc<[u8]>>,
-    numbers: HashMap<Arc<[u8]>, u32>,
-    /// The known zones for each control without its remaining faults.
-    known: HashMap<Box<[u8]>, Vec<Known>>,
+    /// The number of the group for each control without its remaining faults.
+    numbers: HashMap<Box<[u8]>, u32>,
+    groups: Vec<Group>,
     /// The states that are still to be expanded. Some entries are out of date: another state has taken over their times.
     open: BinaryHeap<Turn>,
 }
@@ -72,25 +81,32 @@ impl Store {
         state
     }
 
-    /// Keeps a state, unless kept states cover its times. `core` is the control without the remaining faults. Returns
-    /// the states that include the new state's times afterwards.
+    /// Keeps a state, unless kept states cover its times. `bytes` is the state's control, and `core` is the control
+    /// without the remaining faults. Returns the states that include the new state's times afterwards.
     pub fn insert(
         &mut self,
-        control: Box<[u8]>,
+        bytes: Box<[u8]>,
         (left, core): (Left, Box<[u8]>),
         origin: Origin,
         depth: u32,
     ) -> Vec<u32> {
-        let known = self.known.entry(core).or_default();
+        let number_of = |len: usize| u32::try_from(len).unwrap_or(u32::MAX);
+        let group = *self.numbers.entry(core).or_insert_with(|| {
+            self.groups.push(Group::default());
+            number_of(self.groups.len() - 1)
+        });
+        let Group { controls, known } = &mut self.groups[group as usize];
         if let Some(covering) = covering(known, left, &origin.zone) {
             return covering.states.clone();
         }
-        let number = u32::try_from(self.states.len()).unwrap_or(u32::MAX);
-        let next = u32::try_from(self.controls.len()).unwrap_or(u32::MAX);
-        let control = *self.numbers.entry(control.into()).or_insert_with_key(|control| {
-            self.controls.push(Arc::clone(control));
-            next
-        });
+        let number = number_of(self.states.len());
+        let next = number_of(self.controls.len());
+        let same = controls.iter().find(|(of, _)| *of == left).map(|&(_, control)| control);
+        if same.is_none() {
+            controls.push((left, next));
+            self.controls.push(bytes.into());
+        }
+        let control = same.unwrap_or(next);
         let (mut zone, mut origins) = (origin.zone.clone(), vec![origin]);
         let states = &mut self.states;
         replace(known, states, (left, &zone), number);
@@ -112,14 +128,14 @@ impl Store {
             origins.append(&mut replace(known, states, (left, &zone), number));
         }
         known.push(Known { left, zone: zone.clone(), state: Some(number), states: vec![number] });
-        states.push(State { control, zone: Some(zone), heir: None, origins, depth });
+        states.push(State { control, group, zone: Some(zone), heir: None, origins, depth });
         self.open.push(Reverse((Reverse(left.total()), control, number)));
         vec![number]
     }
 
     /// The next states to be expanded: at most `most`, all with the same number of remaining faults. From then on no other
     /// state joins with them.
-    pub fn next(&mut self, most: usize, core: impl Fn(&[u8]) -> Box<[u8]>) -> Vec<u32> {
+    pub fn next(&mut self, most: usize) -> Vec<u32> {
         let mut next = Vec::new();
         while next.len() < most
             && let Some(&Reverse((Reverse(left), _, number))) = self.open.peek()
@@ -133,10 +149,8 @@ impl Store {
                 continue;
             }
             next.push((left, number));
-            let known = self.known.get_mut(&core(&self.controls[state.control as usize]));
-            if let Some(known) = known
-                && let Some(at) = known.iter().position(|known| known.state == Some(number))
-            {
+            let known = &mut self.groups[state.group as usize].known;
+            if let Some(at) = known.iter().position(|known| known.state == Some(number)) {
                 known[at].state = None;
                 merge_expanded(known, at);
             }
@@ -147,7 +161,8 @@ impl Store {
     /// The zones of a control that were reached with at least the faults `left`. `core` is the control without the
     /// remaining faults.
     pub fn zones(&self, left: Left, core: &[u8]) -> impl Iterator<Item = &Dbm> {
-        let known = self.known.get(core).into_iter().flatten();
+        let group = self.numbers.get(core).map(|&group| &self.groups[group as usize]);
+        let known = group.into_iter().flat_map(|group| &group.known);
         known.filter(move |known| known.left.covers(left)).map(|known| &known.zone)
     }
 
@@ -190,9 +205,9 @@ fn replace(
     origins
 }
 
-/// The first zone that covers the times `zone` and was reached with at least the faults `left`.
+/// The newest zone that covers the times `zone` and was reached with at least the faults `left`.
 fn covering<'a>(known: &'a [Known], left: Left, zone: &Dbm) -> Option<&'a Known> {
-    known.iter().find(|known| known.left.covers(left) && zone.is_in(&known.zone))
+    known.iter().rev().find(|known| known.left.covers(left) && zone.is_in(&known.zone))
 }
 
 impl State {
