@@ -1,7 +1,6 @@
 //! Makes the result of a search by zones.
 
 use super::concrete;
-use super::ranges::ranges;
 use super::runner::Runner;
 use super::search::Search;
 use crate::cell::done::Done;
@@ -44,10 +43,7 @@ fn explore_with(
     let mut told: Vec<Finding> = Vec::new();
     for hit in &hits {
         match concrete::told(plan, (phase, hypothesis), faults, &mut search, hit) {
-            Some(finding) => {
-                let ranges = ranges(plan, (phase, faults), &finding.moves, &hit.shown);
-                told.push(Finding { ranges, ..finding });
-            }
+            Some(finding) => told.push(finding),
             None => {
                 let what =
                     format!("{} is not found at plain times: {}", hit.shown.kind.name(), hit.shown.cause);
@@ -103,10 +99,9 @@ fn standstill(
     search: &mut Search,
 ) -> Option<Finding> {
     let still = search.walks.still(&search.store);
-    let every = &plan.timed(Times::Every);
     let mut idle = HashSet::new();
     still.into_iter().take(MOST_TOLD).find_map(|state| {
-        let moves = concrete::moves_to(every, (phase, faults), search, state)?;
-        tell(every, (phase, hypothesis), faults, moves, &mut idle)
+        let moves = concrete::moves_to(plan, (phase, faults), search, state)?;
+        tell(plan, (phase, hypothesis), faults, moves, &mut idle)
     })
 }
