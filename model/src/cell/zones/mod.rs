@@ -8,6 +8,7 @@
 //!   still     finds standstills among the kept states
 //!   concrete  picks times for a path, and replays it on plain ticks
 //!   fixed     runs a cell with a fixed time for each action and packet
+//!   found     what a path at other times must show, too
 //!   path      makes the path to a finding again on symbolic times
 //!   ranges    computes for which times a finding happens
 //!   explore   tells what a search found
@@ -27,6 +28,7 @@
 mod concrete;
 mod explore;
 mod fixed;
+mod found;
 mod path;
 mod ranges;
 mod reduce;

@@ -5,15 +5,17 @@
 //! these instants. To put off the end of an action or the arrival of a packet is no such move.
 
 use super::fixed::{Number, Numbers, Timing};
+use super::runner::CHOICE;
+use super::search::Search;
 use crate::cell::judge::{Shown, judge, nothing_reached};
 use crate::cell::plan::{CellFaults, CellPlan};
 use crate::cell::run_state::{CellMove, RunState};
-use crate::cell::verdict::{Phase, TimeRange, Timed};
+use crate::cell::verdict::{Kind, Phase, TimeRange, Timed};
 use crate::cell::waiting::for_ever;
 use crate::cell_state::script::Running;
 use crate::zone::dbm::Dbm;
-use crate::zone::forks::again;
 use crate::zone::forks::guided::Guide;
+use crate::zone::forks::{Forks, again, each};
 use crate::zone::times::symbol_of;
 use imrs_protocol::symbolic::{self, START, Symbol};
 use imrs_protocol::{TaskId, Ticks};
@@ -71,6 +73,10 @@ fn at_end(zone: &Dbm, took: Symbol, is_long: bool) -> Option<Dbm> {
     let (one, other) = if is_long { (first, second) } else { (second, first) };
     let (mut end, bound) = (zone.clone(), zone.bound(one, other)?);
     end.constrain(other, one, -bound).ok().map(|()| end)
+}
+
+fn instant((variable, offset): Term) -> imrs_protocol::Instant {
+    symbolic::instant(variable) + Ticks(offset.unsigned_abs())
 }
 
 /// An action that has begun.
@@ -142,8 +148,41 @@ impl<'a> Path<'a> {
             }
         }
         let waits = [false, true].into_iter().filter_map(|goes_on| for_ever(&self.cell, goes_on));
-        let is_shown = last.into_iter().chain(waits).any(|last| last.is_same(shown));
+        let is_shown = match shown.kind {
+            Kind::Standstill => self.is_still(phase),
+            _ => last.into_iter().chain(waits).any(|last| last.is_same(shown)),
+        };
         (is_shown && self.guide.is_exact()).then_some(())
+    }
+
+    /// Whether no move leads to progress from the present state any more, at any of its times.
+    fn is_still(&self, phase: Phase) -> bool {
+        let mut parts = Vec::new();
+        each(
+            &self.guide.zone(),
+            |forks| self.packed(forks),
+            |control, cut| parts.push((control.filter(|_| cut.is_exact()), cut.state())),
+        );
+        let (plan, faults) = (&self.cell.plan, &self.cell.faults);
+        parts.into_iter().all(|(control, zone)| {
+            control.is_some_and(|control| Search::is_still(plan, (phase, faults), (control, zone)))
+        })
+    }
+
+    /// The control of the present state without remaining faults.
+    fn packed(&self, forks: &Forks) -> Option<Box<[u8]>> {
+        let mut cell = self.cell.clone();
+        for (task, body) in (0_u8..).zip(&mut cell.cell.bodies) {
+            for action in body.actor.iter_mut().flat_map(|actor| &mut actor.running) {
+                if let Some(begun) = self.running.get(&(task, action.level)) {
+                    action.least = begun.least - (instant(self.now) - instant(begun.at));
+                }
+            }
+        }
+        cell.beside.use_up_faults();
+        forks.cut().begin_to_pack(self.now);
+        cell.pack().ok()?;
+        Some([&[CHOICE], cell.packed()].concat().into())
     }
 
     /// Lets time pass up to one tick before an instant, at which the next event happens. Meanwhile no deadline, no bound of a packet, and no most time of an
@@ -163,8 +202,7 @@ impl<'a> Path<'a> {
                 if self.guide.keep(less) { less } else { Symbol { first: START, second: START, offset: 0 } };
             is_possible &= self.guide.keep_at_most(silent, at_most);
         }
-        let instant = symbolic::instant(now) + Ticks(offset.unsigned_abs());
-        let elapsed = self.cell.elapse(symbolic::instant(until) - instant, None);
+        let elapsed = self.cell.elapse(symbolic::instant(until) - instant(self.now), None);
         self.now = (until, 1);
         self.untils.push(until);
         (is_possible && elapsed.is_ok() && self.cell.beside.acted == 0).then_some(())
