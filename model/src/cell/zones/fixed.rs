@@ -21,7 +21,7 @@ pub enum Number {
     Packet(u8, u32),
 }
 
-/// The number of ticks that an action or a packet takes, and the move that ends it.
+/// The number of ticks that an action or a packet takes, and the move that ends it. [`CellMove::GoOn`] stands for any end of an action.
 pub type Timing = BTreeMap<Number, (u64, CellMove)>;
 
 /// Counts the actions and packets of a run.
@@ -90,6 +90,15 @@ impl Numbers {
                 on_link.push(*sent);
             }
         }
+    }
+}
+
+/// Whether a move ends its action or packet as `ends` says.
+fn ends_as(step: CellMove, ends: CellMove) -> bool {
+    match (step, ends) {
+        (CellMove::Acted(..), CellMove::GoOn(..)) => true,
+        (CellMove::Acted(..), _) => step == ends,
+        _ => discriminant(&step) == discriminant(&ends),
     }
 }
 
@@ -172,10 +181,8 @@ impl Run {
         match (step, fixed) {
             (CellMove::Pass | CellMove::Take(..) | CellMove::Begin(_) | CellMove::Choose(..), _) => true,
             (CellMove::GoOn(..) | CellMove::Stay(_), fixed) => fixed.is_some_and(|&(ticks, _)| took < ticks),
-            (CellMove::Acted(..), Some(&(ticks, ends))) => took == ticks && step == ends,
-            (_, Some(&(ticks, ends))) if number.is_some() => {
-                took == ticks && discriminant(&step) == discriminant(&ends)
-            }
+            (CellMove::Acted(..), Some(&(ticks, ends))) => took == ticks && ends_as(step, ends),
+            (_, Some(&(ticks, ends))) if number.is_some() => took == ticks && ends_as(step, ends),
             (CellMove::Acted(..) | CellMove::Deliver(_), None) => true,
             _ => false,
         }
@@ -183,7 +190,7 @@ impl Run {
 
     fn take(&mut self, timing: &Timing, step: CellMove) {
         let number = self.numbers.of(&self.cell.run_state.cell, step);
-        let ends = |&(_, ends): &(u64, CellMove)| discriminant(&step) == discriminant(&ends);
+        let ends = |&(_, ends): &(u64, CellMove)| ends_as(step, ends);
         self.ended += usize::from(number.and_then(|number| timing.get(&number)).is_some_and(ends));
         self.numbers.end(&self.cell.run_state.cell, step);
         self.cell.take(step);

@@ -241,12 +241,15 @@ impl<'a> Path<'a> {
         comes.then_some(())
     }
 
-    /// How long everything takes that has ended, at a point of the zone: at the least or (`true`) the greatest time of the action or
-    /// packet `end`.
+    /// How long everything takes that has ended, and the action or packet `end`, at a point of the zone: at the least or (`true`) the
+    /// greatest time of `end`.
     pub fn timing(&self, end: Option<(Number, bool)>) -> Timing {
         let mut zone = self.guide.zone();
+        let going: Vec<Ended> =
+            self.not_ended().filter(|going| end.is_some_and(|(number, _)| number == going.number)).collect();
+        let all = || self.ended.iter().chain(&going);
         let of = |(number, is_long): (Number, bool)| {
-            let ended = self.ended.iter().find(|ended| ended.number == number)?;
+            let ended = all().find(|ended| ended.number == number)?;
             at_end(&zone, ended.took, is_long)
         };
         zone = end.and_then(of).unwrap_or(zone);
@@ -256,7 +259,7 @@ impl<'a> Path<'a> {
             let ticks = point[usize::from(first)] - point[usize::from(second)] + offset;
             (ended.number, (ticks.unsigned_abs(), ended.step))
         };
-        self.ended.iter().map(of).collect()
+        all().map(of).collect()
     }
 
     /// The time since an instant.
@@ -303,7 +306,7 @@ impl<'a> Path<'a> {
     }
 
     /// The uncertain times with their bounds.
-    pub fn told(&self) -> Vec<(Option<Number>, TimeRange)> {
+    pub fn told(&self) -> Vec<(Number, TimeRange)> {
         let range = |timed, took, [least, most]: [Ticks; 2], has_ended| {
             let [from, to] =
                 self.guide.bounds(took).map(|bound| bound.and_then(|bound| u64::try_from(bound).ok()));
@@ -322,23 +325,31 @@ impl<'a> Path<'a> {
         for Ended { number, step, timed, took, declared } in &self.ended {
             // A lost packet does not arrive at any time.
             if matches!(step, CellMove::Acted(..) | CellMove::Deliver(_) | CellMove::Mend(..)) {
-                all.push((Some(*number), range(timed.clone(), *took, *declared, true)));
+                all.push((*number, range(timed.clone(), *took, *declared, true)));
             }
         }
-        for (&(task, _), begun) in &self.running {
-            all.push((
-                None,
-                range(self.action(task, begun), self.since(begun.at), [begun.least, begun.most], false),
-            ));
-        }
-        for carried in &self.cell.cell.in_flight {
-            let (from, to, bound) = self.cell.cell.links[usize::from(carried.link)];
-            let bound = Ticks(bound.into());
-            if let Some(age) = symbol_of(carried.age) {
-                let timed = Timed::Packet { port: carried.packet.port, from, to };
-                all.push((None, range(timed, age, [Ticks(1).min(bound), bound], false)));
-            }
+        for Ended { number, timed, took, declared, .. } in self.not_ended() {
+            all.push((number, range(timed, took, declared, false)));
         }
         all
+    }
+
+    /// The actions and packets that are not over, as if they ended now: an action in any way, and a packet by its arrival.
+    fn not_ended(&self) -> impl Iterator<Item = Ended> {
+        let cell = &self.cell.cell;
+        let actions = self.running.iter().filter_map(|(&(task, level), begun)| {
+            let step = CellMove::GoOn(task, level);
+            let (timed, took) = (self.action(task, begun), self.since(begun.at));
+            let number = self.numbers.of(cell, step)?;
+            Some(Ended { number, step, timed, took, declared: [begun.least, begun.most] })
+        });
+        let packets = (0_u8..).zip(&cell.in_flight).filter_map(|(at, carried)| {
+            let (from, to, bound) = cell.links[usize::from(carried.link)];
+            let (step, bound) = (CellMove::Deliver(at), Ticks(bound.into()));
+            let timed = Timed::Packet { port: carried.packet.port, from, to };
+            let (number, took) = (self.numbers.of(cell, step)?, symbol_of(carried.age)?);
+            Some(Ended { number, step, timed, took, declared: [Ticks(1).min(bound), bound] })
+        });
+        actions.chain(packets)
     }
 }

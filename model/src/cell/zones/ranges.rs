@@ -36,9 +36,10 @@ pub(in crate::cell) fn ranges(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Ti
     let mut left = PATHS;
     for (number, range) in &mut told {
         for is_long in [false, true] {
-            let Some(end) = number.filter(|_| range.is_narrowed()).map(|number| (number, is_long)) else {
+            if !range.is_narrowed() {
                 continue;
-            };
+            }
+            let end = (*number, is_long);
             let mut timing = of(plan, moves, Some(end)).map(|(_, timing)| timing).unwrap_or_default();
             let until = 2 * finding.at_ticks + LONGER;
             // The same finding may come in another order of events at the next tick.
@@ -46,7 +47,7 @@ pub(in crate::cell) fn ranges(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Ti
                 && let Some(next) = next(range, end, timing)
                 && let Some(other) = moves_with(&found, &next, until)
                 && let Some((all, at_end)) = of(every, &other, Some(end))
-                && let Some((_, other)) = all.iter().find(|(number, _)| *number == Some(end.0))
+                && let Some((_, other)) = all.iter().find(|(number, _)| *number == end.0)
             {
                 range.least = range.least.min(other.least);
                 range.most = range.most.max(other.most);
