@@ -40,3 +40,4 @@ mod twins;
 mod two_owners;
 mod unit;
 mod verify_cell;
+mod verify_times;

@@ -233,7 +233,7 @@ fn a_search_that_is_cut_short_says_how_far_it_came() {
     for told in [
         "cut short, out of time (0.001 s): ",
         " of these states were looked at (",
-        "and every order of events was looked at up to its choice ",
+        " % of those found), and every order of events was looked at up to its choice ",
         "\n  to let it end: ",
         "give it more (`--within 10m`, `--memory 8G`)\n",
     ] {
@@ -276,17 +276,6 @@ fn the_finding_in_the_reference_is_what_is_said() {
     let answer = run(&["verify", "examples/faulty/camera_looks_too_long.cell"]);
     let printed = answer.out.split("  step by step").next().expect("a finding");
     assert_eq!(quoted, Some(printed), "{}", answer.out);
-}
-
-#[test]
-fn a_finding_by_zones_says_for_which_times_it_happens() {
-    let verify = ["verify", "examples/faulty/camera_looks_too_long.cell", "--times", "zones"];
-    let said = run(&verify);
-    assert!(said.out.contains("\n  happens if `look` of camera takes 49..60 msec\n"), "{said:?}");
-    let said = run(&[&verify[..], &["--format", "json"]].concat()).last_json();
-    let happens = &said["findings"][0]["happens"][0];
-    let times = ["least_us", "most_us", "declared_least_us"].map(|name| happens[name].as_u64());
-    assert_eq!(times, [49_000, 60_000, 20_000].map(Some), "{said}");
 }
 
 #[test]

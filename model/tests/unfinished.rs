@@ -54,12 +54,40 @@ fn a_search_that_a_budget_ends_names_what_makes_the_cell_large() {
         "times make it large, too: {left:?}"
     );
 
-    hall.plan.times = Times::Ends;
+    for times in [Times::Ends, Times::Zones] {
+        hall.plan.times = times;
+        let verdicts = hall.check();
+        let phase = &verdicts.phases[0];
+        let left = phase.unfinished.as_ref().expect("states are left");
+        assert!(!phase.complete && 0 < left.open && left.open < phase.states, "{times:?}: {left:?}");
+        assert!(left.apart_from_times <= left.sampled, "{times:?}: {left:?}");
+        let named: Vec<_> = left.variables.iter().map(|of| (of.task.index(), of.name.as_str())).collect();
+        assert_eq!(named, [(2, "grams")], "{times:?}: {left:?}");
+        assert!(left.variables[0].values >= 8, "{times:?}: {left:?}");
+    }
+}
+
+#[test]
+fn a_search_by_zones_that_a_budget_ends_says_how_many_of_its_states_it_expanded() {
+    let mut hall = Text::new(HALL);
+    (hall.plan.budget, hall.plan.times) = (within(500), Times::Zones);
     let verdicts = hall.check();
-    let left = verdicts.phases[0].unfinished.as_ref().expect("states are left");
-    let named: Vec<_> = left.variables.iter().map(|of| (of.task.index(), of.name.as_str())).collect();
-    assert_eq!(named, [(2, "grams")], "{left:?}");
-    assert!(left.variables[0].values >= 8, "{left:?}");
+    let [phase] = &verdicts.phases[..] else { panic!("{:?}", verdicts.phases) };
+    let left = phase.unfinished.as_ref().expect("states are left");
+    // The budget counts the states that are expanded.
+    assert_eq!((phase.states - left.open, phase.whole_depth), (500, 0), "{phase:?}");
+}
+
+#[test]
+fn a_search_at_the_ends_says_how_far_the_search_by_zones_before_it_came() {
+    let mut hall = Text::new(HALL);
+    (hall.plan.budget, hall.plan.times) = (within(500), Times::Auto);
+    let verdicts = hall.check();
+    let [phase] = &verdicts.phases[..] else { panic!("{:?}", verdicts.phases) };
+    let finer = phase.finer.as_ref().expect("zones were tried before");
+    assert_eq!((phase.times, finer.times, finer.complete), (Times::Ends, Times::Zones, false), "{phase:?}");
+    let left = finer.unfinished.as_ref().expect("states are left");
+    assert_eq!(finer.states - left.open, 500, "{finer:?}");
 }
 
 #[test]

@@ -278,6 +278,30 @@ fn measure(name: &str, cell: &mut Text, seconds: u64) {
     }
 }
 
+/// A message that expires while it waits for its receiver: how long it was on its link makes no difference to that instant.
+#[test]
+fn a_message_that_waits_expires_at_the_same_instant_by_zones() {
+    let text = |work: &str| {
+        format!(
+            "cell late;\ntick 1 msec;\nnode na; node nb;\nlink na -- nb delay 6 msec;\n\
+            task a on na\nport put(x: int16) usage = send user_list = {{b}} time_out = 12 msec class = 1;\nbegin\n\
+            run look takes 1..3 msec; send put(1);\nend a;\n\
+            task b on nb\nuse_port put(x: int16) usage = receive;\nvar m: int16; var got: bool;\nbegin\n\
+            run work takes {work} msec;\n\
+            receive put(m) within 1 msec on time_out do skip; end;\ngot := m = 1;\nend b;\ncheck c: never b.got;\n"
+        )
+    };
+    // It is sent after 1 to 3 msec and expires after 13 to 15. The check fails if it has come and has not expired.
+    let cases = [("2", true), ("6", true), ("14", true), ("15", false), ("16..20", false), ("12..20", true)];
+    for (work, is_got) in cases {
+        let mut cell = Text::new(&text(work));
+        let compared = compare(work, &mut cell, states()).expect("it is small");
+        assert!(compared.zones > 1, "{work}: {compared:?}");
+        let verdicts = cell.check();
+        assert_eq!(verdicts.of(Kind::Check).next().is_some(), is_got, "{work}: {:?}", verdicts.findings);
+    }
+}
+
 #[test]
 fn examples_are_found_the_same_by_zones() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples");

@@ -139,7 +139,7 @@ struct Searched<'a> {
     inexact: u64,
     transitions: u64,
     /// The greatest distance of a state from the start, counted in choices. `whole_depth` is the depth up to which all
-    /// states were explored.
+    /// states were explored; 0 for a search by zones that a budget ended.
     depth: u64,
     whole_depth: u64,
     complete: bool,
@@ -149,6 +149,9 @@ struct Searched<'a> {
     ended_by: Option<&'a str>,
     /// The states that the search had found and not explored when a budget ended it; null if it had explored all of them.
     unfinished: Option<Left<'a>>,
+    /// A search of the same faults at finer times that a budget ended before this one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    finer: Option<Box<Searched<'a>>>,
     seconds: f64,
 }
 
@@ -311,6 +314,7 @@ impl Subject {
             pruned: phase.pruned,
             ended_by: phase.ended_by.as_deref(),
             unfinished: phase.unfinished.as_ref().map(|left| self.left(left)),
+            finer: phase.finer.as_ref().map(|finer| Box::new(self.searched(plan, finer))),
             seconds: phase.seconds,
         }
     }

@@ -1,5 +1,6 @@
 //! `imrs verify CELL`: checks the cell's own scripts and communication tasks, with the faults that the cell declares.
 
+use super::covered;
 use super::save::save;
 use super::search_lines::SearchLines;
 use super::subject::Subject;
@@ -85,7 +86,7 @@ fn keep(
     let searched = |phase: &&Coverage| (phase.phase, phase.hypothesis) == (finding.phase, finding.hypothesis);
     let bounds = verdicts.phases.iter().find(searched);
     let bounds = bounds
-        .map(|phase| tell::bounds(plan, (phase.phase, phase.hypothesis), phase.times))
+        .map(|phase| covered::bounds(plan, (phase.phase, phase.hypothesis), phase.times))
         .unwrap_or_default();
     let saved = save(path, subject, plan, finding, bounds, args.force)?;
     Ok(saved.then_some(at + 1))

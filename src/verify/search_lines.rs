@@ -1,8 +1,8 @@
 //! The progress display while a cell is searched: a line on standard error for each phase, and one for each kind of finding so far.
 
+use super::covered::bounds;
 use super::progress::display;
 use super::subject::Subject;
-use super::tell::bounds;
 use crate::args::Format;
 use crate::output::grouped;
 use imrs_model::cell::{CellPlan, Coverage, FoundSoFar, Phase, SearchProgress, SoFar, Times};

@@ -103,9 +103,8 @@ impl Subject {
             args::Times::Every => Times::Every,
             args::Times::Zones => Times::Zones,
         };
-        // A search by zones takes no longer if the ticks are finer.
-        let is_by_zones = !plan.faults.iter().any(CellFaults::disturb_time);
-        if plan.times == Times::Zones || plan.times == Times::Auto && is_by_zones {
+        // Without pauses and drift, `Auto` covers every tick.
+        if plan.times == Times::Auto && !plan.faults.iter().any(CellFaults::disturb_time) {
             plan.step = 1;
         }
         Ok(plan)

@@ -8,8 +8,8 @@ use crate::args::{self, CellFaultArgs, VerifyVerb};
 use crate::cell_file;
 use crate::failure::Failure;
 use crate::kept::nothing_kept;
-use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count};
-use imrs_model::cell::{CellPlan, Concerned, Finding, Kind, Phase, Times, Verdicts};
+use crate::output::{BAD, FAINT, GOOD, NOTE, Output, Styled, count};
+use imrs_model::cell::{CellPlan, Concerned, Finding, Kind, Times, Verdicts};
 use imrs_protocol::TaskId;
 use imrs_protocol::script::Address;
 use std::fmt::Write as _;
@@ -76,13 +76,7 @@ impl Telling<'_> {
             out.line("")?;
         }
         unkept.into_iter().try_for_each(|said| out.line(Styled(NOTE, said)))?;
-        for phase in &verdicts.phases {
-            out.line(Styled(HEAD, bounds(self.plan, (phase.phase, phase.hypothesis), phase.times)))?;
-            out.line(format!("  {}", covered::looked_at(phase)))?;
-            for said in covered::explained(self.subject, self.plan, phase) {
-                out.line(Styled(NOTE, format!("  {said}")))?;
-            }
-        }
+        verdicts.phases.iter().try_for_each(|phase| covered::show(subject, self.plan, phase, out))?;
         out.line(Styled(FAINT, format!("  looked at: {}", self.times())))?;
         for what in not_looked_for(self.plan) {
             out.line(Styled(FAINT, format!("  not looked for: {what}")))?;
@@ -346,51 +340,4 @@ pub fn chart(chart: &str, all: Option<&String>, out: &mut Output) -> Result<(), 
         }
     }
     Ok(())
-}
-
-/// The faults and times of a phase as text: those that the cell declares, and those that the user added.
-pub(super) fn bounds(plan: &CellPlan, (phase, hypothesis): (Phase, usize), times: Times) -> String {
-    let faults = match phase {
-        Phase::FaultFree => "Without faults".into(),
-        Phase::Faults => format!("With at most {}", faults(plan, hypothesis)),
-    };
-    let times = match times {
-        Times::Every if plan.step > 1 => "at every model tick",
-        Times::Zones => "at every tick, by zones",
-        Times::Every => "at every tick",
-        Times::Between => "at the ends of times and after events",
-        Times::Ends | Times::Auto => "at the ends of times",
-    };
-    format!("{faults}, {times}")
-}
-
-fn faults(plan: &CellPlan, hypothesis: usize) -> String {
-    let (cell, Some(faults)) = (plan.table.cell(), plan.faults.get(hypothesis)) else { return String::new() };
-    let node = |at: usize| cell.nodes.get(at).map_or("?", |node| node.name.as_str());
-    let counted = [
-        (faults.loss, "packet lost", "packets lost"),
-        (faults.dup, "packet doubled", "packets doubled"),
-        (faults.reorder, "packet overtaking another", "packets overtaking others"),
-        (faults.fail, "action failing", "actions failing"),
-        (faults.drift, "tick missed or counted twice", "ticks missed or counted twice"),
-    ];
-    let mut parts: Vec<String> = Vec::new();
-    for (count, one, more) in counted.into_iter().filter(|(count, ..)| *count > 0) {
-        parts.push(format!("{count} {}", if count == 1 { one } else { more }));
-    }
-    parts.extend(faults.crash.iter().map(|at| format!("a crash of {}", node(at.index()))));
-    let mut pauses = faults.pause.iter().peekable();
-    while let Some(pause) = pauses.next() {
-        let mut times = 1;
-        while pauses.next_if_eq(&pause).is_some() {
-            times += 1;
-        }
-        let of = pause.node.map_or("any node", |at| node(at.index()));
-        let times = if times == 1 { "a pause".to_owned() } else { format!("{times} pauses") };
-        parts.push(format!("{times} of {of} of up to {}", count(pause.most.into(), "tick")));
-    }
-    for link in faults.cut.iter().filter_map(|&at| cell.links.get(at)) {
-        parts.push(format!("the link {} -- {} cut once", node(link.a.index()), node(link.b.index())));
-    }
-    parts.join(", ")
 }

@@ -7,6 +7,7 @@ use super::plan::{CellFaults, CellPlan, Holds, Times};
 use super::run_state::RunState;
 use super::values::Tried;
 use super::verdict::{Finding, Kind, Phase, Verdicts};
+use super::zones::ranges;
 use super::{alike, context};
 use imrs_protocol::TaskId;
 use imrs_protocol::script::{Address, Term};
@@ -69,6 +70,9 @@ pub(super) fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, (outside, is_open)
     verdicts.warnings.retain(|warning| !deadlocks.contains(&place(warning)));
     verdicts.findings.sort_by_key(|finding| (finding.kind, finding.phase, finding.task, finding.address));
     verdicts.findings = alike::told_once(plan, std::mem::take(&mut verdicts.findings));
+    for finding in verdicts.findings.iter_mut().chain(&mut verdicts.warnings) {
+        finding.ranges = ranges(plan, finding);
+    }
     verdicts
 }
 

@@ -3,7 +3,7 @@
 
 use super::judge::Reached;
 use super::plan::Part;
-use super::verdict::{Coverage, Finding};
+use super::verdict::{Coverage, Finding, Unfinished};
 
 /// The result of a phase, or of the search of one independent part in it.
 pub(super) struct Done {
@@ -22,6 +22,9 @@ impl Done {
             self.findings.extend(earlier.findings);
             self.warnings.extend(earlier.warnings);
             self.coverage.seconds += earlier.coverage.seconds;
+            if earlier.coverage.times > self.coverage.times {
+                self.coverage.finer = Some(Box::new(earlier.coverage));
+            }
             self.reached = self.reached.join(earlier.reached);
             self.mattered.iter_mut().zip(earlier.mattered).for_each(|(all, one)| *all |= one);
         }
@@ -30,7 +33,21 @@ impl Done {
 
     /// Joins the results of two parts; `part` is the part that `other` searched.
     pub fn beside(mut self, other: Self, part: &Part) -> Self {
-        let (all, one) = (&mut self.coverage, other.coverage);
+        self.coverage.join(other.coverage);
+        self.findings.extend(other.findings);
+        self.warnings.extend(other.warnings);
+        let reached = other.reached.statements.into_iter().flatten();
+        self.reached.statements.iter_mut().flatten().zip(reached).for_each(|(all, one)| *all |= one);
+        take_checks(&mut self.reached.still, other.reached.still, part);
+        take_checks(&mut self.mattered, other.mattered, part);
+        self
+    }
+}
+
+impl Coverage {
+    /// Joins what the searches of two parts have covered.
+    fn join(&mut self, one: Self) {
+        let all = self;
         let whole = match (all.complete, one.complete) {
             (true, true) => all.whole_depth.max(one.whole_depth),
             (true, false) => one.whole_depth,
@@ -47,16 +64,19 @@ impl Done {
         all.complete &= one.complete;
         all.pruned |= one.pruned;
         all.ended_by = all.ended_by.take().or(one.ended_by);
-        all.unfinished = all.unfinished.take().or(one.unfinished);
+        all.unfinished = match (all.unfinished.take(), one.unfinished) {
+            (Some(mine), Some(other)) => Some(Unfinished { open: mine.open + other.open, ..mine }),
+            (mine, other) => mine.or(other),
+        };
+        all.finer = match (all.finer.take(), one.finer) {
+            (Some(mut mine), Some(other)) => {
+                mine.join(*other);
+                Some(mine)
+            }
+            (mine, other) => mine.or(other),
+        };
         all.longest_state = all.longest_state.max(one.longest_state);
         all.seconds += one.seconds;
-        self.findings.extend(other.findings);
-        self.warnings.extend(other.warnings);
-        let reached = other.reached.statements.into_iter().flatten();
-        self.reached.statements.iter_mut().flatten().zip(reached).for_each(|(all, one)| *all |= one);
-        take_checks(&mut self.reached.still, other.reached.still, part);
-        take_checks(&mut self.mattered, other.mattered, part);
-        self
     }
 }
 

@@ -75,15 +75,13 @@ fn look_at_all_times(
     let within = |times: Times, share: f64| {
         let mut short = CellPlan { times, ..CellPlan::clone(plan) };
         short.budget.seconds = (plan.budget.seconds * share - start.elapsed().as_secs_f64()).max(0.0);
-        if times == Times::Zones {
-            short.step = 1;
-        } else if share < 1.0 {
+        if times != Times::Zones && share < 1.0 {
             let most = if faults.are_none() { Times::AUTO_STATES } else { Times::AUTO_STATES_WITH_FAULTS };
             short.budget.states = short.budget.states.min(most);
         }
         Arc::new(short)
     };
-    let attempts: &[(Times, f64)] = match zones::uncovered(&within(Times::Zones, 1.0), faults) {
+    let attempts: &[(Times, f64)] = match zones::uncovered(plan, faults) {
         None if plan.step == 1 => &[(Times::Every, 0.125), (Times::Zones, 0.75)],
         None => &[(Times::Zones, 0.75)],
         Some(_) => &[(Times::Every, 0.25), (Times::Between, 0.5)],

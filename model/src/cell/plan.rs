@@ -211,7 +211,8 @@ pub struct CellPlan {
     pub budget: Budget,
     /// When actions may end and packets may arrive.
     pub times: Times,
-    /// The distance between the ticks that [`Times::Every`] tries, counted back from the most time.
+    /// The distance between the ticks that [`Times::Every`] tries, counted back from the most time. A search by zones covers
+    /// every tick, whatever this distance is.
     pub step: u32,
     /// Switches off all reductions, to check that they change no finding. The search then also tries faults that no task
     /// notices, keeps covered states and dead variables, tries crashes, restarts and pauses at every event, and searches
@@ -257,6 +258,11 @@ impl CellPlan {
     /// A copy of the plan with other event times.
     pub(super) fn timed(&self, times: Times) -> Arc<Self> {
         Arc::new(Self { times, ..self.clone() })
+    }
+
+    /// The distance between the ticks that the plan's times allow.
+    pub(super) fn tick_step(&self) -> u32 {
+        if self.times == Times::Zones { 1 } else { self.step }
     }
 
     /// Whether the body of some task is outside the cell.

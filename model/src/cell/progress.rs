@@ -32,7 +32,7 @@ impl SearchProgress for Silent {}
 /// How far a search is.
 #[derive(Clone, Copy, Debug)]
 pub struct SoFar {
-    /// The states that were kept.
+    /// The states that were kept. A search by zones does not count those whose times another state includes.
     pub states: u64,
     /// How many of the kept states are still to be expanded.
     pub open: u64,

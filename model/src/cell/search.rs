@@ -136,6 +136,7 @@ fn search(
         pruned: search.hits.iter().any(|hit| hit.shown.last || hit.shown.kind == Kind::Deadlock),
         ended_by,
         unfinished: None,
+        finer: None,
         longest_state: search.longest as u64,
         seconds: start.elapsed().as_secs_f64(),
     };

@@ -12,7 +12,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 /// The greatest number of states in the sample.
-const SAMPLE: usize = 8_192;
+pub(super) const SAMPLE: usize = 8_192;
 /// A variable with fewer different values than this does not make a cell large.
 const MANY: usize = 8;
 /// The greatest number of variables that are named.
@@ -76,33 +76,51 @@ pub(super) fn of(
         return None;
     }
     let mut run_state = RunState::new(plan, faults);
-    let mut values: Vec<Vec<HashSet<i64>>> = (0..plan.tasks.len())
-        .map(|task| vec![HashSet::new(); program(&run_state, task).map_or(0, |of| of.variables.len())])
-        .collect();
+    let mut values = Values::new(&run_state);
     let mut controls: HashSet<Box<[u8]>> = HashSet::new();
     for (_, state) in &sample.states {
         run_state.load(state);
-        for (task, variables) in values.iter_mut().enumerate() {
-            let Some(actor) = &run_state.cell.bodies[task].actor else { continue };
+        values.note(&run_state);
+        let timeless = Rc::new(RefCell::new(Timeless));
+        controls.extend(symbolic::within(timeless, || run_state.store()).ok());
+    }
+    let (sampled, apart_from_times) = (sample.states.len() as u64, controls.len() as u64);
+    Some(Unfinished { open: open as u64, sampled, apart_from_times, variables: values.named(&run_state) })
+}
+
+/// The values that the variables of each task have in some states.
+pub(super) struct Values(Vec<Vec<HashSet<i64>>>);
+
+impl Values {
+    pub fn new(run_state: &RunState) -> Self {
+        let variables = |task| program(run_state, task).map_or(0, |of| of.variables.len());
+        Self((0..run_state.plan.tasks.len()).map(|task| vec![HashSet::new(); variables(task)]).collect())
+    }
+
+    /// Adds the values of a state.
+    pub fn note(&mut self, run_state: &RunState) {
+        for (body, variables) in run_state.cell.bodies.iter().zip(&mut self.0) {
+            let Some(actor) = &body.actor else { continue };
             for (at, values) in (0..).zip(variables) {
                 values.extend(actor.host.script.var(at));
             }
         }
-        let timeless = Rc::new(RefCell::new(Timeless));
-        controls.extend(symbolic::within(timeless, || run_state.store()).ok());
     }
-    let mut variables: Vec<ManyValues> = Vec::new();
-    for (task, found) in values.iter().enumerate() {
-        let Some(program) = program(&run_state, task) else { continue };
-        for (variable, values) in
-            program.variables.iter().zip(found).filter(|(_, values)| values.len() >= MANY)
-        {
-            let (task, name) = (TaskId::from_index(task), variable.name.clone());
-            variables.push(ManyValues { task, name, values: values.len() as u64 });
+
+    /// The variables with the most values, if they have many.
+    pub fn named(&self, run_state: &RunState) -> Vec<ManyValues> {
+        let mut variables: Vec<ManyValues> = Vec::new();
+        for (task, found) in self.0.iter().enumerate() {
+            let Some(program) = program(run_state, task) else { continue };
+            for (variable, values) in
+                program.variables.iter().zip(found).filter(|(_, values)| values.len() >= MANY)
+            {
+                let (task, name) = (TaskId::from_index(task), variable.name.clone());
+                variables.push(ManyValues { task, name, values: values.len() as u64 });
+            }
         }
+        variables.sort_by_key(|variable| std::cmp::Reverse(variable.values));
+        variables.truncate(NAMED);
+        variables
     }
-    variables.sort_by_key(|variable| std::cmp::Reverse(variable.values));
-    variables.truncate(NAMED);
-    let (sampled, apart_from_times) = (sample.states.len() as u64, controls.len() as u64);
-    Some(Unfinished { open: open as u64, sampled, apart_from_times, variables })
 }

@@ -184,7 +184,7 @@ pub struct Finding {
     /// Ticks from the start to the finding.
     pub at_ticks: u64,
     /// For which times of its actions and packets the same path happens: the uncertain times in the order in which they end, and then
-    /// those that have not ended at the finding. Only a search by zones tells them; empty if they are not known.
+    /// those that have not ended at the finding. Empty if the path has none, or if they are not known.
     #[serde(default)]
     pub ranges: Vec<TimeRange>,
     /// The moves that lead to the finding. They can be replayed with the same plan.
@@ -218,7 +218,8 @@ pub struct Coverage {
     pub moves: u64,
     /// The largest number of choices on a shortest path to a state.
     pub depth: u64,
-    /// Every path of at most this many choices has been covered.
+    /// Every path of at most this many choices has been covered. An unfinished search by zones has 0: it does not explore the shortest
+    /// paths first.
     pub whole_depth: u64,
     /// Ticks from the start to the latest finding.
     pub ticks: u64,
@@ -231,6 +232,9 @@ pub struct Coverage {
     /// The states that the search had found but not expanded when the budget ended it.
     #[serde(default)]
     pub unfinished: Option<Unfinished>,
+    /// A search of the same phase at finer times, which a budget ended before.
+    #[serde(default)]
+    pub finer: Option<Box<Coverage>>,
     /// The number of bytes of the longest packed state.
     pub longest_state: u64,
     /// The duration of the search in seconds.

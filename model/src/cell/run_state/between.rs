@@ -21,7 +21,7 @@ impl RunState {
         if self.times != Times::Every {
             return;
         }
-        let (cell_state, beside, step) = (&self.cell, &mut self.beside, self.plan.step);
+        let (cell_state, beside, step) = (&self.cell, &mut self.beside, self.plan.tick_step());
         beside.stays.retain(|&(task, level)| {
             let actor = cell_state.bodies[usize::from(task)].actor.as_ref();
             let running = actor.and_then(|actor| actor.runs(level));
@@ -37,7 +37,7 @@ impl RunState {
 
     /// The time until the next instant at which an event may happen, at most `most`.
     pub fn to_next_step(&self, most: Ticks) -> Ticks {
-        match self.plan.step {
+        match self.plan.tick_step() {
             _ if self.times != Times::Every || most == Running::FOREVER => most,
             1 => most.min(Ticks(1)),
             step => Ticks(most.0 - (most.0.saturating_sub(1) / u64::from(step)) * u64::from(step)),

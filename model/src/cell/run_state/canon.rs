@@ -2,7 +2,7 @@
 
 use super::order::TickValues;
 use super::pause::Asleep;
-use super::{Beside, CellMove, RunState, bit};
+use super::{Beside, CellMove, OVER, RunState, UNUSED, bit};
 use crate::cell::plan::{CellFaults, CellPlan, Holds, Times};
 use crate::cell_state::CellState;
 use crate::state::{Packed, Violation};
@@ -165,6 +165,14 @@ impl RunState {
 }
 
 impl Beside {
+    /// Takes all faults away that have not begun.
+    pub fn use_up_faults(&mut self) {
+        (self.loss, self.dup, self.reorder, self.fail, self.drift) = (0, 0, 0, 0, 0);
+        self.crashed.fill(1);
+        self.paused.fill(0);
+        self.cuts.iter_mut().filter(|cut| **cut == UNUSED).for_each(|cut| *cut = OVER);
+    }
+
     fn walk<W: Walk>(
         &mut self,
         plan: &CellPlan,

@@ -4,7 +4,7 @@ use super::runner::{From, Run, puts_off};
 use super::search::{Hit, Search, is_sampled};
 use super::store::Origin;
 use crate::cell::judge::Shown;
-use crate::cell::plan::{CellFaults, CellPlan, Times};
+use crate::cell::plan::{CellFaults, CellPlan};
 use crate::cell::run_state::CellMove;
 use crate::cell::unpacked::Unpacked;
 use crate::cell::verdict::{Finding, Phase};
@@ -32,7 +32,6 @@ pub fn told(
     run.moves.truncate(hit.moves);
     run.silent_until = None;
     let legs = legs_to(search, hit.state, zone, Some(run))?;
-    let plan = &plan.timed(Times::Every);
     let replay = Replay::of(plan, (phase, faults), &legs)?;
     let moves = replay.shows(&hit.shown).then_some(replay.moves)?;
     let shown = starve::decided(plan, &moves, hit.shown.clone());

@@ -1,7 +1,6 @@
 //! Makes the result of a search by zones.
 
 use super::concrete;
-use super::ranges::ranges;
 use super::runner::Runner;
 use super::search::Search;
 use crate::cell::done::Done;
@@ -9,7 +8,10 @@ use crate::cell::judge::Reached;
 use crate::cell::plan::{CellFaults, CellPlan, Times};
 use crate::cell::progress::SearchProgress;
 use crate::cell::standstill::{MOST_TOLD, tell};
-use crate::cell::verdict::{Coverage, Finding, Kind, Phase};
+use crate::cell::unfinished::{SAMPLE, Values};
+use crate::cell::verdict::{Coverage, Finding, Kind, Phase, Unfinished};
+use crate::zone::dbm::Dbm;
+use crate::zone::forks::again;
 use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::Instant;
@@ -44,10 +46,7 @@ fn explore_with(
     let mut told: Vec<Finding> = Vec::new();
     for hit in &hits {
         match concrete::told(plan, (phase, hypothesis), faults, &mut search, hit) {
-            Some(finding) => {
-                let ranges = ranges(plan, (phase, faults), &finding.moves, &hit.shown);
-                told.push(Finding { ranges, ..finding });
-            }
+            Some(finding) => told.push(finding),
             None => {
                 let what =
                     format!("{} is not found at plain times: {}", hit.shown.kind.name(), hit.shown.cause);
@@ -60,6 +59,7 @@ fn explore_with(
         told.extend(standstill(plan, (phase, hypothesis), faults, &mut search));
     }
     let (warnings, findings) = told.into_iter().partition(|found| found.kind.is_warning());
+    let (open, unfinished) = (search.open(), search.unfinished());
     let Search { runners, store, longest, inexact, .. } = search;
     let depth = store.states.iter().map(|state| u64::from(state.depth)).max().unwrap_or(0);
     let coverage = Coverage {
@@ -71,12 +71,13 @@ fn explore_with(
         inexact: inexact + store.hulls,
         moves: runners.iter().map(|runner| runner.moves).sum(),
         depth,
-        whole_depth: store.least_left().map_or(depth, u64::from),
+        whole_depth: if open == 0 { depth } else { 0 },
         ticks: 0,
         complete: ended_by.is_none(),
         pruned,
         ended_by,
-        unfinished: None,
+        unfinished,
+        finer: None,
         longest_state: longest as u64,
         seconds: start.elapsed().as_secs_f64(),
     };
@@ -89,6 +90,25 @@ fn explore_with(
 }
 
 impl Search {
+    /// What the search left, and what makes it large; `None` if it expanded all its states.
+    fn unfinished(&mut self) -> Option<Unfinished> {
+        let open = self.open();
+        if open == 0 {
+            return None;
+        }
+        let Self { runners, store, .. } = self;
+        let run_state = &mut runners[0].run_state;
+        let mut values = Values::new(run_state);
+        let controls = store.controls.iter().step_by(1 + store.controls.len() / SAMPLE);
+        for control in controls {
+            // The times of a state are in its zone. Here they are any times, because no variable of a task is a time.
+            again(&Dbm::zero(), &[], |_| run_state.load(control.get(1..).unwrap_or_default()));
+            values.note(run_state);
+        }
+        let (sampled, apart_from_times) = (store.len() as u64, store.controls.len() as u64);
+        Some(Unfinished { open, sampled, apart_from_times, variables: values.named(run_state) })
+    }
+
     /// Why the search is not complete although it expanded all its states.
     fn shortcoming(&self) -> Option<String> {
         self.outgrown.then(|| "a number in some states is too large for the checker to store".into())
@@ -103,10 +123,9 @@ fn standstill(
     search: &mut Search,
 ) -> Option<Finding> {
     let still = search.walks.still(&search.store);
-    let every = &plan.timed(Times::Every);
     let mut idle = HashSet::new();
     still.into_iter().take(MOST_TOLD).find_map(|state| {
-        let moves = concrete::moves_to(every, (phase, faults), search, state)?;
-        tell(every, (phase, hypothesis), faults, moves, &mut idle)
+        let moves = concrete::moves_to(plan, (phase, faults), search, state)?;
+        tell(plan, (phase, hypothesis), faults, moves, &mut idle)
     })
 }

@@ -1,17 +1,18 @@
 //! Runs a cell on plain ticks with a fixed time for each action and each packet, in every order of what happens in one tick.
 
-use crate::cell::judge::Shown;
-use crate::cell::plan::{CellFaults, CellPlan};
+use super::found::Found;
 use crate::cell::run_state::CellMove;
 use crate::cell::unpacked::Unpacked;
-use crate::cell::verdict::Phase;
+use crate::cell::verdict::Kind;
 use crate::cell_state::CellState;
 use std::collections::BTreeMap;
 use std::mem::discriminant;
-use std::sync::Arc;
 
 /// The most moves that are tried in all orders together.
 const MOST: u32 = 4_000;
+
+/// The most states in which a standstill is looked for.
+const STANDSTILLS: u32 = 32;
 
 /// An action or a packet of a run, counted from the start: the how-many-th of its task and activation, or of its link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -20,7 +21,7 @@ pub enum Number {
     Packet(u8, u32),
 }
 
-/// The number of ticks that an action or a packet takes, and the move that ends it.
+/// The number of ticks that an action or a packet takes, and the move that ends it. [`CellMove::GoOn`] stands for any end of an action.
 pub type Timing = BTreeMap<Number, (u64, CellMove)>;
 
 /// Counts the actions and packets of a run.
@@ -92,6 +93,15 @@ impl Numbers {
     }
 }
 
+/// Whether a move ends its action or packet as `ends` says.
+fn ends_as(step: CellMove, ends: CellMove) -> bool {
+    match (step, ends) {
+        (CellMove::Acted(..), CellMove::GoOn(..)) => true,
+        (CellMove::Acted(..), _) => step == ends,
+        _ => discriminant(&step) == discriminant(&ends),
+    }
+}
+
 /// The link of a packet, and its place among the packets of this link.
 fn place(cell: &CellState, packet: u8) -> Option<(u8, usize)> {
     let link = cell.in_flight.get(usize::from(packet))?.link;
@@ -105,24 +115,20 @@ struct Run {
     cell: Unpacked,
     numbers: Numbers,
     moves: Vec<CellMove>,
+    /// How many of the actions and packets that have a time are over.
+    ended: usize,
 }
 
-/// Moves that lead to a finding by the tick `until`, with the times of `timing`; `None` if none were found. An action, timer
-/// or packet without a time in `timing` ends as soon as it may.
-pub fn moves_with(
-    plan: &Arc<CellPlan>,
-    (phase, faults): (Phase, &CellFaults),
-    timing: &Timing,
-    until: u64,
-    shown: &Shown,
-) -> Option<Vec<CellMove>> {
-    let mut first =
-        Run { cell: Unpacked::new(plan, phase, faults), numbers: Numbers::default(), moves: Vec::new() };
+/// Moves that lead to a finding by the tick `until`, with these times; `None` if none were found. An action, timer or packet
+/// without a time in `timing` ends as soon as it may.
+pub fn moves_with(found: &Found, timing: &Timing, until: u64) -> Option<Vec<CellMove>> {
+    let cell = Unpacked::new(&found.every, found.phase, &found.faults);
+    let mut first = Run { cell, numbers: Numbers::default(), moves: Vec::new(), ended: 0 };
     first.numbers.note(&first.cell.run_state.cell, 0);
-    let mut open = vec![first];
+    let (mut open, mut tries) = (vec![first], STANDSTILLS);
     for _ in 0..MOST {
         let mut run = open.pop()?;
-        if run.cell.shown().iter().any(|last| last.is_same(shown)) {
+        if run.cell.shown().iter().any(|last| last.is_same(&found.shown)) {
             return Some(run.moves);
         }
         if run.cell.run_state.passed > until {
@@ -130,16 +136,27 @@ pub fn moves_with(
         }
         let mut moves = Vec::new();
         run.cell.run_state.moves(&mut moves);
+        // A standstill comes after everything that has a time.
+        if found.shown.kind == Kind::Standstill
+            && run.ended == timing.len()
+            && moves.contains(&CellMove::Pass)
+        {
+            tries -= 1;
+            let moves = found.standstill(run.moves.clone());
+            if moves.is_some() || tries == 0 {
+                return moves;
+            }
+        }
         moves.retain(|&step| run.keeps(timing, step));
         // The first order is tried first.
         let others = moves.split_off(1.min(moves.len()));
         for step in others.into_iter().rev() {
             let mut other = run.clone();
-            other.take(step);
+            other.take(timing, step);
             open.push(other);
         }
         if let Some(step) = moves.pop() {
-            run.take(step);
+            run.take(timing, step);
             open.push(run);
         }
     }
@@ -165,16 +182,17 @@ impl Run {
         match (step, fixed) {
             (CellMove::Pass | CellMove::Take(..) | CellMove::Begin(_) | CellMove::Choose(..), _) => true,
             (CellMove::GoOn(..) | CellMove::Stay(_), fixed) => fixed.is_some_and(|&(ticks, _)| took < ticks),
-            (CellMove::Acted(..), Some(&(ticks, ends))) => took == ticks && step == ends,
-            (_, Some(&(ticks, ends))) if number.is_some() => {
-                took == ticks && discriminant(&step) == discriminant(&ends)
-            }
+            (CellMove::Acted(..), Some(&(ticks, ends))) => took == ticks && ends_as(step, ends),
+            (_, Some(&(ticks, ends))) if number.is_some() => took == ticks && ends_as(step, ends),
             (CellMove::Acted(..) | CellMove::Deliver(_), None) => true,
             _ => false,
         }
     }
 
-    fn take(&mut self, step: CellMove) {
+    fn take(&mut self, timing: &Timing, step: CellMove) {
+        let number = self.numbers.of(&self.cell.run_state.cell, step);
+        let ends = |&(_, ends): &(u64, CellMove)| ends_as(step, ends);
+        self.ended += usize::from(number.and_then(|number| timing.get(&number)).is_some_and(ends));
         self.numbers.end(&self.cell.run_state.cell, step);
         self.cell.take(step);
         self.numbers.note(&self.cell.run_state.cell, self.cell.run_state.passed);

@@ -8,7 +8,9 @@
 //!   still     finds standstills among the kept states
 //!   concrete  picks times for a path, and replays it on plain ticks
 //!   fixed     runs a cell with a fixed time for each action and packet
-//!   ranges    computes for which times the path to a finding happens
+//!   found     what a path at other times must show, too
+//!   path      makes the path to a finding again on symbolic times
+//!   ranges    computes for which times a finding happens
 //!   explore   tells what a search found
 //!   within    makes runs at times within the ranges of a finding, for tests
 //!   walked    looks up the states of random walks among the kept zones, for tests
@@ -26,6 +28,8 @@
 mod concrete;
 mod explore;
 mod fixed;
+mod found;
+mod path;
 mod ranges;
 mod reduce;
 mod runner;
@@ -36,6 +40,7 @@ mod walked;
 mod within;
 
 pub(super) use explore::explore;
+pub(super) use ranges::ranges;
 pub use walked::compare_zones_with_walks;
 pub use within::compare_ranges_with_runs;
 
@@ -47,7 +52,6 @@ pub(super) fn uncovered(plan: &CellPlan, faults: &CellFaults) -> Option<&'static
     let found = [
         (!faults.pause.is_empty(), "pauses"),
         (faults.drift > 0, "drift"),
-        (plan.step > 1, "ticks of the model that are longer than those of the cell"),
         (plan.table.cell().rules != Rules::default(), "variants of the rules"),
     ];
     found.into_iter().find(|(is, _)| *is).map(|(_, what)| what)

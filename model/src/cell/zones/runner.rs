@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 /// The first byte of a control: `QUIET` if time passes next, `CHOICE` if several moves are possible.
 pub(super) const QUIET: u8 = 1;
-const CHOICE: u8 = 0;
+pub(super) const CHOICE: u8 = 0;
 
 /// After this many moves without an alternative, a state is kept in any case.
 const WALK: usize = 512;

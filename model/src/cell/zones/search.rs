@@ -3,16 +3,18 @@
 use super::runner::{From, Run, Runner};
 use super::still::Walks;
 use super::store::{Origin, Store};
+use crate::Silent;
 use crate::cell::judge::Shown;
-use crate::cell::plan::CellPlan;
+use crate::cell::plan::{Budget, CellFaults, CellPlan};
 use crate::cell::progress::{SearchProgress, SoFar};
 use crate::cell::run_state::canon::Left;
+use crate::cell::verdict::Phase;
 use crate::explore::resident_bytes;
 use crate::side_by_side::side_by_side;
 use crate::zone::dbm::Dbm;
 use crate::zone::forks::{Cut, each};
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
 /// A finding of a run from a kept state.
@@ -29,6 +31,9 @@ pub(super) struct Hit {
 /// The most states that are expanded side by side. A state of such a batch no longer joins with the states to which the others
 /// lead, so a larger batch leads to more states.
 const BATCH: usize = 16;
+
+/// The most states that are searched for whether one state is still.
+const MOST_STILL: u64 = 4096;
 
 /// Batches between two looks at the memory in use.
 const LOOK: u64 = 128;
@@ -47,13 +52,15 @@ pub(super) struct Search {
     pub inexact: u64,
     pub outgrown: bool,
     pub longest: usize,
+    /// The number of states that were expanded.
+    expanded: u64,
 }
 
 impl Search {
     /// A search without states. If a control would have more than `most` zones, the search keeps their hull instead.
     pub fn new(runners: Vec<Runner>, most: usize) -> Self {
         let (store, walks) = (Store::new(most), Walks::default());
-        Self { runners, store, hits: Vec::new(), walks, inexact: 0, outgrown: false, longest: 0 }
+        Self { runners, store, hits: Vec::new(), walks, inexact: 0, outgrown: false, longest: 0, expanded: 0 }
     }
 
     /// Searches until no state is left, or returns the budget that ended the search. The result is the same for any number of
@@ -63,10 +70,33 @@ impl Search {
         plan: &CellPlan,
         (start, progress): (Instant, &dyn SearchProgress),
     ) -> Option<String> {
-        let budget = plan.budget;
         let first = self.runners[0].expand(&self.store, None);
         self.take_in(None, first);
-        let mut done = 0;
+        self.expand_all(plan.budget, (start, progress))
+    }
+
+    /// Whether no run from a state with these times, without faults and restarts, leads to progress or to an end. False if it takes more
+    /// than [`MOST_STILL`] states to find that out.
+    pub fn is_still(
+        plan: &Arc<CellPlan>,
+        (phase, faults): (Phase, &CellFaults),
+        (control, zone): (Box<[u8]>, Dbm),
+    ) -> bool {
+        let mut search = Self::new(vec![Runner::new(plan, phase, faults)], plan.zones);
+        let core = core(&search.runners[0], &control);
+        search.store.insert(control, core, Origin { parent: None, answers: Box::default(), zone }, 0);
+        let budget = Budget { states: MOST_STILL, seconds: f64::INFINITY, ..plan.budget };
+        let ended_by = search.expand_all(budget, (Instant::now(), &Silent));
+        let first = search.store.heir(0);
+        ended_by.is_none() && !search.outgrown && search.walks.still(&search.store).contains(&first)
+    }
+
+    /// Expands states until none is left, or returns the budget that ended the search.
+    fn expand_all(
+        &mut self,
+        budget: Budget,
+        (start, progress): (Instant, &dyn SearchProgress),
+    ) -> Option<String> {
         for batches in 0_u64.. {
             let seconds = start.elapsed().as_secs_f64();
             if seconds > budget.seconds {
@@ -75,19 +105,24 @@ impl Search {
             if batches.is_multiple_of(LOOK) && resident_bytes().is_some_and(|bytes| bytes > budget.bytes) {
                 return Some(budget.out_of_memory());
             }
-            let (states, open) = (self.store.states.len() as u64, self.store.open() as u64);
+            let (states, open) = (self.store.len() as u64, self.open());
             progress.states(&SoFar { states, open, seconds, at_most_seconds: budget.seconds });
-            let most = usize::try_from(budget.states - done).unwrap_or(usize::MAX).min(BATCH);
+            let most = usize::try_from(budget.states - self.expanded).unwrap_or(usize::MAX).min(BATCH);
             let batch = self.store.next(most);
             if batch.is_empty() {
                 return (most == 0 && open > 0).then(|| format!("{} states", budget.states));
             }
-            done += batch.len() as u64;
+            self.expanded += batch.len() as u64;
             for (&at, runs) in batch.iter().zip(self.expand(&batch)) {
                 self.take_in(Some(at), runs);
             }
         }
         None
+    }
+
+    /// The number of states that are still to be expanded.
+    pub fn open(&self) -> u64 {
+        self.store.len() as u64 - self.expanded
     }
 
     /// The runs from each state of a batch.

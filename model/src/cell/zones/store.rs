@@ -57,6 +57,8 @@ pub struct Store {
     most: usize,
     /// How many times zones became their hull.
     pub hulls: u64,
+    /// The number of states whose times another state includes.
+    passed: usize,
     pub states: Vec<State>,
     /// The controls by number.
     pub controls: Vec<Arc<[u8]>>,
@@ -109,7 +111,7 @@ impl Store {
         let control = same.unwrap_or(next);
         let (mut zone, mut origins) = (origin.zone.clone(), vec![origin]);
         let states = &mut self.states;
-        replace(known, states, (left, &zone), number);
+        self.passed += replace(known, states, (left, &zone), number).1;
         // The new state joins with states that are still to be expanded, if the union of both zones is a zone.
         while let Some((at, state, merged)) = known.iter().enumerate().find_map(|(at, old)| {
             let state = old.state.filter(|_| old.left == left)?;
@@ -118,6 +120,7 @@ impl Store {
             known.swap_remove(at);
             let state = &mut states[state as usize];
             state.pass_to(number);
+            self.passed += 1;
             origins.append(&mut state.origins);
             zone = merged;
         }
@@ -125,7 +128,9 @@ impl Store {
         if known.iter().filter(is_like).count() >= self.most {
             self.hulls += 1;
             zone = known.iter().filter(is_like).fold(zone, |all, old| all.hull(&old.zone));
-            origins.append(&mut replace(known, states, (left, &zone), number));
+            let (mut others, passed) = replace(known, states, (left, &zone), number);
+            origins.append(&mut others);
+            self.passed += passed;
         }
         known.push(Known { left, zone: zone.clone(), state: Some(number), states: vec![number] });
         states.push(State { control, group, zone: Some(zone), heir: None, origins, depth });
@@ -166,43 +171,32 @@ impl Store {
         known.filter(move |known| known.left.covers(left)).map(|known| &known.zone)
     }
 
-    /// The number of states that are still to be expanded. States whose times another state has taken over may be
-    /// counted, too.
-    pub fn open(&self) -> usize {
-        self.open.len()
-    }
-
     /// The number of kept states, without those whose times another state includes.
-    pub fn len(&self) -> usize {
-        self.states.iter().filter(|state| state.zone.is_some()).count()
-    }
-
-    /// The least depth of a state that is still to be expanded.
-    pub fn least_left(&self) -> Option<u32> {
-        let left = self.open.iter().map(|&Reverse((_, _, number))| &self.states[number as usize]);
-        left.filter(|state| state.zone.is_some()).map(|state| state.depth).min()
+    pub const fn len(&self) -> usize {
+        self.states.len() - self.passed
     }
 }
 
 /// Lets a new state replace the zones whose times it includes, and the states of these zones that are still to be expanded.
-/// Returns how these states were reached.
+/// Returns how these states were reached, and their number.
 fn replace(
     known: &mut Vec<Known>,
     states: &mut [State],
     (left, zone): (Left, &Dbm),
     new: u32,
-) -> Vec<Origin> {
-    let mut origins = Vec::new();
+) -> (Vec<Origin>, usize) {
+    let (mut origins, mut passed) = (Vec::new(), 0);
     known.retain(|old| {
         let covers = left.covers(old.left) && old.zone.is_in(zone);
         if covers && let Some(at) = old.state {
             let state = &mut states[at as usize];
             state.pass_to(new);
+            passed += 1;
             origins.append(&mut state.origins);
         }
         !covers
     });
-    origins
+    (origins, passed)
 }
 
 /// The newest zone that covers the times `zone` and was reached with at least the faults `left`.

@@ -43,13 +43,7 @@ pub fn compare_zones_with_walks(
         }
         agreement.complete += 1;
         for _ in 0..walks {
-            walk(
-                &search,
-                Unpacked::new(&plan.timed(Times::Every), phase, &faults),
-                length,
-                draw,
-                &mut agreement,
-            )?;
+            walk(&search, Unpacked::new(&plan, phase, &faults), length, draw, &mut agreement)?;
         }
     }
     Ok(agreement)

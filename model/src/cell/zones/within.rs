@@ -1,13 +1,13 @@
 //! Makes random runs at times within the ranges of a finding, for tests.
 
 use super::concrete::{Leg, Replay};
-use super::ranges::{Instant, Path, instants};
+use super::found::Found;
+use super::path::{Instant, Path, instants};
 use crate::cell::guard::Disagreement;
-use crate::cell::judge::Shown;
 use crate::cell::outside::with_programs;
-use crate::cell::plan::{CellPlan, Times};
+use crate::cell::plan::CellPlan;
 use crate::cell::run_state::CellMove;
-use crate::cell::verdict::{Finding, Kind, Phase};
+use crate::cell::verdict::{Finding, Kind};
 use crate::zone::dbm::Dbm;
 use crate::zone::forks::guided::along;
 use std::sync::Arc;
@@ -24,25 +24,24 @@ pub fn compare_ranges_with_runs(
     runs: u32,
     draw: &mut dyn FnMut(usize) -> usize,
 ) -> Result<u64, Disagreement> {
-    let plan = &with_programs(plan).timed(Times::Every);
-    let faults = plan.faults.get(finding.hypothesis).filter(|_| finding.phase == Phase::Faults).cloned();
-    let (phase, faults) = (finding.phase, faults.unwrap_or_default());
-    let kind = if finding.kind == Kind::Starves { Kind::TimeOut } else { finding.kind };
-    let task = finding.task.map(|task| task.index());
-    let (address, check, couple) = (finding.address, finding.check, finding.couple);
-    let shown = Shown { kind, task, address, check, couple, ..Shown::whole(kind, "") };
-    let Some(instants) = instants(plan, &faults, &finding.moves) else { return Ok(0) };
+    let found = Found::of(&with_programs(plan), finding);
+    let Found { plan, every, phase, faults, shown } = &found;
+    let Some(instants) = instants(plan, faults, &finding.moves) else { return Ok(0) };
     let zones = along(|guide| {
-        let mut path = Path::new(guide, plan, &faults);
-        path.run(phase, &instants, &shown).map(|()| (path.ends(), path.untils))
+        let mut path = Path::new(guide, every, faults);
+        path.run(*phase, &instants, shown).map(|()| (path.ends(), path.untils))
     });
     let mut made = 0;
     let (zones, untils) = zones.unwrap_or_default();
     for (number, zone) in zones.iter().enumerate() {
         for _ in 0..if number == 0 { runs } else { 1 } {
             let legs = drawn((&instants, &untils), zone, draw);
-            let replay = Replay::of(plan, (phase, &faults), &legs);
-            if !replay.is_some_and(|replay| replay.shows(&shown)) {
+            let replay = Replay::of(every, (*phase, faults), &legs);
+            let is_shown = replay.is_some_and(|replay| match shown.kind {
+                Kind::Standstill => found.standstill(replay.moves).is_some(),
+                _ => replay.shows(shown),
+            });
+            if !is_shown {
                 let what = format!("a run within the ranges does not show: {}", finding.kind.name());
                 let moves = legs.into_iter().flat_map(|leg| leg.moves).collect();
                 return Err(Disagreement { what, moves });
