@@ -227,6 +227,8 @@ fn of_monitor(run: impl FnOnce() + Send + 'static) -> JoinHandle<()> {
 /// Running monitors.
 struct Monitors {
     observer: Option<Observer>,
+    /// The folder of the socket, as the cell of a real node has one.
+    folder: Option<PathBuf>,
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
@@ -234,11 +236,13 @@ struct Monitors {
 impl Monitors {
     fn come(crowd: Crowd, node: &Arc<Node>) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
-        let mut monitors = Self { observer: None, stop, threads: Vec::new() };
+        let mut monitors = Self { observer: None, folder: None, stop, threads: Vec::new() };
         if matches!(crowd, Crowd::Nobody) {
             return monitors;
         }
-        let path = socket();
+        let folder = folder();
+        let path = folder.join("node-1.sock");
+        monitors.folder = Some(folder);
         monitors.observer = Some(Observer::start_at(Arc::clone(node), &path).expect("a socket"));
         match crowd {
             Crowd::Nobody | Crowd::Empty => {}
@@ -275,6 +279,8 @@ impl Monitors {
         self.stop.store(true, Ordering::Relaxed);
         self.threads.into_iter().for_each(|thread| thread.join().expect("it only reads"));
         drop(self.observer);
+        // An empty folder that stays is no reason to end a measurement.
+        let _ = self.folder.map(std::fs::remove_dir);
     }
 }
 
@@ -316,10 +322,13 @@ fn wait(stop: &AtomicBool) {
     }
 }
 
-fn socket() -> PathBuf {
-    static SOCKETS: AtomicU32 = AtomicU32::new(0);
-    let number = SOCKETS.fetch_add(1, Ordering::Relaxed);
-    std::env::temp_dir().join(format!("imrs-bench-{}-{number}.sock", std::process::id()))
+/// A new folder. In a folder of others, the node would find their files whenever it looks for the sockets of other nodes.
+fn folder() -> PathBuf {
+    static FOLDERS: AtomicU32 = AtomicU32::new(0);
+    let number = FOLDERS.fetch_add(1, Ordering::Relaxed);
+    let folder = std::env::temp_dir().join(format!("imrs-bench-{}-{number}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder");
+    folder
 }
 
 /// The state of a node with 100 tasks of 100 ports each.

@@ -252,7 +252,7 @@ impl Subscription {
     }
 
     /// The encoded frame; empty if there are no new events.
-    fn events(&mut self, pass: &mut Pass) -> Result<Arc<[u8]>, FrameError> {
+    fn events(&mut self, pass: &mut Pass) -> Result<Arc<Vec<u8>>, FrameError> {
         let Some(following) = &mut self.events else { return Ok(Arc::default()) };
         following.next = pass.next(EVENT_PERIOD);
         pass.events(&following.filter, &mut following.observations)

@@ -5,7 +5,9 @@ use super::Showing;
 use crate::observe::batch::{Batch, Share};
 use crate::observe::observations::Observations;
 use crate::observe::snapshot::Watching;
-use imrs_wire::obs::{Delta, EventFilter, Events, FrameError, Places, ServerFrame, Snapshot};
+use imrs_wire::obs::{
+    Delta, EventFilter, Events, FrameError, Kinds, Places, ServerFrame, Snapshot, TimedEvent,
+};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -22,14 +24,14 @@ pub(super) struct Pass {
     places: Option<Places>,
     snapshots: Vec<(Watching, Arc<Snapshot>)>,
     changes: Vec<Change>,
-    batches: Vec<(EventFilter, Batch, Arc<[u8]>)>,
+    batches: Vec<(EventFilter, Batch, Arc<Vec<u8>>)>,
 }
 
 /// An encoded frame: what has changed between two snapshots.
 struct Change {
     old: Option<Arc<Snapshot>>,
     new: Arc<Snapshot>,
-    frame: Arc<[u8]>,
+    frame: Arc<Vec<u8>>,
 }
 
 impl Pass {
@@ -79,7 +81,7 @@ impl Pass {
         &mut self,
         old: Option<&Arc<Snapshot>>,
         new: &Arc<Snapshot>,
-    ) -> Result<Arc<[u8]>, FrameError> {
+    ) -> Result<Arc<Vec<u8>>, FrameError> {
         let is_old = |known: &Change| match (&known.old, old) {
             (Some(known), Some(old)) => Arc::ptr_eq(known, old),
             (known, old) => known.is_none() && old.is_none(),
@@ -88,7 +90,7 @@ impl Pass {
             return Ok(Arc::clone(&known.frame));
         }
         let delta = old.map_or_else(|| Delta::whole(new), |old| Delta::between(old, new));
-        let frame: Arc<[u8]> = ServerFrame::Delta(delta).encode()?.into();
+        let frame = Arc::new(ServerFrame::Delta(delta).encode()?);
         self.changes.push(Change { old: old.cloned(), new: Arc::clone(new), frame: Arc::clone(&frame) });
         Ok(frame)
     }
@@ -98,30 +100,39 @@ impl Pass {
         &mut self,
         filter: &EventFilter,
         observations: &mut Observations,
-    ) -> Result<Arc<[u8]>, FrameError> {
+    ) -> Result<Arc<Vec<u8>>, FrameError> {
         for (of, batch, frame) in &self.batches {
             if of != filter {
                 continue;
             }
             match observations.take(batch) {
                 Some(Share::All) => return Ok(Arc::clone(frame)),
-                Some(Share::Part(events, lost)) => return Ok(encoded(filter, events, lost)?.into()),
+                Some(Share::Part(events, lost)) => return Ok(Arc::new(encoded(filter, events, lost)?)),
                 None => {}
             }
         }
-        let batch = observations.drain_batch(|task| filter.of(task), EVENT_ROOM);
-        let frame: Arc<[u8]> = encoded(filter, batch.events.clone(), batch.lost())?.into();
+        let mut batch = observations.drain_batch(|task| filter.of(task), EVENT_ROOM);
+        let events = std::mem::take(&mut batch.events);
+        let frame = if filter.kinds == Kinds::ALL && (1..=MAX_EVENTS).contains(&events.len()) {
+            // The events are not copied, because all of them are sent.
+            let all = ServerFrame::Events(Events { lost: batch.lost(), events });
+            let bytes = all.encode()?;
+            if let ServerFrame::Events(all) = all {
+                batch.events = all.events;
+            }
+            bytes
+        } else {
+            batch.events.clone_from(&events);
+            encoded(filter, events, batch.lost())?
+        };
+        let frame = Arc::new(frame);
         self.batches.push((filter.clone(), batch, Arc::clone(&frame)));
         Ok(frame)
     }
 }
 
 /// The frame of the events that the filter selects; empty if there are none, and none were lost.
-fn encoded(
-    filter: &EventFilter,
-    mut events: Vec<imrs_wire::obs::TimedEvent>,
-    lost: u64,
-) -> Result<Vec<u8>, FrameError> {
+fn encoded(filter: &EventFilter, mut events: Vec<TimedEvent>, lost: u64) -> Result<Vec<u8>, FrameError> {
     events.retain(|event| filter.wants(event.task, event.what.event));
     let lost = lost + events.len().saturating_sub(MAX_EVENTS) as u64;
     events.truncate(MAX_EVENTS);
