@@ -157,10 +157,10 @@ class Screen:
         """Saves the first screen that shows this pattern, or of which this function says that it does."""
         does = showing if callable(showing) else lambda shown: re.search(showing, shown)
         for _ in range(600):
-            shown = self.tmux("capture-pane", "-p", "-e")
+            shown = self.tmux("capture-pane", "-p", "-e", "-N")
             # A terminal that draws half a frame shows another one a moment later.
             time.sleep(0.015)
-            if does(shown) and shown == self.tmux("capture-pane", "-p", "-e"):
+            if does(shown) and shown == self.tmux("capture-pane", "-p", "-e", "-N"):
                 (HERE / name).write_text(svg(shown, title))
                 return print("made", HERE / name)
             time.sleep(0.05)

@@ -2,10 +2,11 @@
 
 use crate::harness::{Measured, Round, Spread};
 use crate::sample::Sample;
-use crate::suite::{Against, Row};
+use crate::suite::{Against, Goal, Row};
 use crate::surroundings::Apart;
 
-/// A row is decided only if the greatest ratio of its rounds is less than this many times the least.
+/// A row of which some rounds meet the bound, and some do not, is decided only if the greatest ratio is less than this many
+/// times the least.
 pub const SPAN: f64 = 3.0;
 /// A round is quiet if other programs took at most this share of the processors.
 pub const QUIET: f64 = 0.05;
@@ -18,7 +19,7 @@ pub enum Why {
     Processors,
     /// In half of the rounds or more, other programs took more than [`QUIET`].
     Busy,
-    /// The ratios of the rounds differ by a factor of [`SPAN`] or more.
+    /// The ratios of the rounds differ by a factor of [`SPAN`] or more, and are not all on one side of the bound.
     Range,
 }
 
@@ -93,7 +94,7 @@ pub fn judge(row: &Row, measured: &[Measured], again: u32) -> Outcome {
     outcome.rounds = pairs.len();
     let ratios = pairs.iter().filter_map(|(subject, other)| ratio(row, &subject.sample, &other.sample));
     outcome.ratio = Spread::of(ratios.collect());
-    let wide = outcome.ratio.is_some_and(is_wide);
+    let wide = outcome.ratio.is_some_and(|ratio| is_wide(ratio) && !agree(row.goal, ratio));
     outcome.undecided = outcome.undecided.or(wide.then_some(Why::Range));
     outcome
 }
@@ -107,6 +108,11 @@ fn place((subject, other): Pair<'_>, subject_on_two: bool, other_on_two: bool) -
         (true, false) => subject.apart,
         (false, _) => other.apart,
     }
+}
+
+/// Whether every round meets the goal, or none does.
+fn agree(goal: Goal, ratio: Spread) -> bool {
+    goal.met(ratio.least, 1.0) == goal.met(ratio.most, 1.0)
 }
 
 fn is_wide(ratio: Spread) -> bool {
@@ -129,7 +135,7 @@ fn ratio(row: &Row, subject: &Sample, other: &Sample) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::suite::{Goal, Stat};
+    use crate::suite::Stat;
 
     fn case(name: &str, on_two: bool, rounds: &[(f64, Option<Apart>, f64)]) -> Measured {
         let round =
@@ -207,5 +213,17 @@ mod tests {
             [of(1.0, 2.9), of(1.0, 3.0), of(0.0, 0.0), of(0.0, 1.0), of(-1.0, 1.0)],
             [false, true, false, true, true]
         );
+    }
+    #[test]
+    fn a_wide_range_on_one_side_of_the_bound_decides() {
+        let judged = |least, most| {
+            let row = Row::bounded("G", "a", "a", Stat::P50, Goal::AtMost(2.0));
+            let rounds = [(least, None, 0.0), (most, None, 0.0), (most, None, 0.0)];
+            let outcome = judge(&row, &[case("a", false, &rounds)], 0);
+            (outcome.undecided, outcome.met(1.0))
+        };
+        assert_eq!(judged(0.0, 0.5), (None, Some(true)));
+        assert_eq!(judged(3.0, 30.0), (None, Some(false)));
+        assert_eq!(judged(0.5, 3.0), (Some(Why::Range), Some(false)));
     }
 }

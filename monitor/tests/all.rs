@@ -17,6 +17,7 @@ mod layout;
 mod link_health;
 mod live;
 mod missing;
+mod narrow;
 mod overview;
 mod problems;
 mod query;

@@ -31,6 +31,10 @@ const TEN_MINUTES: Run = Run { seconds: 600, history: BUDGET, process: 60 << 20,
 /// the history.
 const ONE_MINUTE: Run = Run { seconds: 60, history: BUDGET / 10, process: 20 << 20, moving_back: 50 << 20 };
 
+/// Moving back to a state replays the states before it. Each of them may take this share of the time that it took when it
+/// arrived, when it was also made and encoded: six tenths.
+const REPLAYED: (u32, u32) = (6, 10);
+
 /// One of this many ports changes in each period: 5 %.
 const APART: usize = 20;
 
@@ -39,6 +43,15 @@ fn resident() -> usize {
     let text = std::fs::read_to_string("/proc/self/status").unwrap();
     let line = text.lines().find_map(|line| line.strip_prefix("RssAnon:")).unwrap();
     line.split_whitespace().next().unwrap().parse::<usize>().unwrap() * 1024
+}
+
+/// The processor time that this process has used.
+fn worked() -> Duration {
+    let text = std::fs::read_to_string("/proc/self/stat").unwrap();
+    let fields: Vec<_> = text.rsplit_once(')').unwrap().1.split_whitespace().collect();
+    // User and system time, in hundredths of a second.
+    let ticks = fields[11].parse::<u64>().unwrap() + fields[12].parse::<u64>().unwrap();
+    Duration::from_millis(10 * ticks)
 }
 
 fn press(app: &mut App, key: KeyCode, now: Moment) {
@@ -76,6 +89,7 @@ fn ten_minutes_of_ten_thousand_ports_fit_the_budget() {
         say(app, Duration::from_millis(100 * period), Delta::between(&before, &state));
     };
     (1..=periods).for_each(|period| go_on(&mut app, period));
+    let arriving = worked();
     let memory = resident();
     let kept = Duration::from_millis(100 * periods) - app.history().film().unwrap().stops()[0].at;
     let weight = app.history().weight();
@@ -91,10 +105,14 @@ fn ten_minutes_of_ten_thousand_ports_fit_the_budget() {
     (1..=10).for_each(|period| go_on(&mut app, periods + period));
     for key in [KeyCode::Char('['), KeyCode::Char('['), KeyCode::Home, KeyCode::Char(']'), KeyCode::Char('[')]
     {
-        let began = Instant::now();
+        let (began, before) = (Instant::now(), worked());
         press(&mut app, key, now);
         most = most.max(resident());
-        println!("{key:?}: {:?}, {} bytes", began.elapsed(), resident());
+        let took = worked().saturating_sub(before);
+        println!("{key:?}: {:?}, of it {took:?} of a processor, {} bytes", began.elapsed(), resident());
+        let replayed = u32::try_from(app.history().film().unwrap().stops().len()).unwrap();
+        let most = arriving * REPLAYED.0 / REPLAYED.1 * replayed / u32::try_from(periods).unwrap();
+        assert!(took <= most, "{key:?} took {took:?} of {most:?}");
     }
     press(&mut app, KeyCode::Char(' '), now);
     let after = resident();

@@ -70,8 +70,9 @@ pub use imrs_protocol as protocol;
 pub use node::Node;
 pub use node::program::{StartError, TaskEnd};
 pub use node::threads::{Runtime, SPIN_TAIL};
+pub use observe::observations::Observations;
 pub use observe::observer;
-pub use observe::snapshot::{Observations, Watching};
+pub use observe::snapshot::Watching;
 
 /// The time of the node's clock in microseconds, for benchmarks of how long a reading takes.
 #[doc(hidden)]

@@ -5,8 +5,8 @@ use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, finish, one_node, report,
 use imrs_protocol::{Event, TaskState, Ticks};
 use imrs_runtime::observer::{MAX_MONITORS, Observer, ObserverError, Place, Showing};
 use imrs_wire::obs::{
-    ClientFrame, FrameError, Goodbye, Handshake, Liveness, Refusal, SCHEMA, ServerFrame, TimedEvent, Token,
-    VERSION, Version, Want,
+    ClientFrame, EventFilter, FrameError, Goodbye, Handshake, Kinds, Liveness, Refusal, SCHEMA, ServerFrame,
+    TimedEvent, Token, VERSION, Version, Want,
 };
 use std::io::Write;
 use std::net::{SocketAddr, TcpStream};
@@ -54,6 +54,69 @@ fn a_monitor_sees_tasks_queues_and_events() {
     assert!(matches!(bye, Some(ServerFrame::Bye(bye)) if bye.reason == Goodbye::Stopping));
     assert!(!folder.socket().exists());
     drop(runtime);
+}
+
+/// Monitors share what is read of the node. Each of them still gets every event once, whenever it subscribed, and however
+/// late it reads.
+#[test]
+fn each_of_many_monitors_gets_every_event_once() {
+    const MESSAGES: u8 = 200;
+    let folder = Folder::new("shares");
+    let (runtime, tell) = node();
+    let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
+    let mut monitors: Vec<_> = (0..4).map(|_| Monitor::unix(socket(&observer)).attach(NEW)).collect();
+    for (number, monitor) in monitors.iter_mut().enumerate() {
+        // The last one follows the events of one task alone.
+        let tasks = if number == 3 { vec![A] } else { Vec::new() };
+        let events = Some(EventFilter { kinds: Kinds::ALL, tasks });
+        // The third one gets another state than the others.
+        let queue_limit = if number == 2 { 3 } else { 0 };
+        monitor.say(&ClientFrame::Want(Want { events, queue_limit, ..want() }));
+        assert!(matches!(monitor.next(), ServerFrame::Delta(_)), "the state comes at once");
+    }
+    // A frame about the state is made only after its monitor was subscribed, and so after its events are followed.
+    let mut sent = vec![Vec::new(); monitors.len()];
+    let mut states = vec![0_u32; monitors.len()];
+    for message in 0..MESSAGES {
+        tell.send(message).unwrap();
+        std::thread::sleep(Duration::from_micros(700));
+        // The second monitor does not read until all is over.
+        if message % 9 == 0 {
+            for number in [0, 2, 3] {
+                hear(&mut monitors[number], &mut sent[number], &mut states[number]);
+            }
+        }
+    }
+    let start = Instant::now();
+    while sent.iter().any(|sent| sent.len() < MESSAGES.into()) {
+        assert!(start.elapsed() < PATIENCE, "{:?}", sent.iter().map(Vec::len).collect::<Vec<_>>());
+        for (number, monitor) in monitors.iter_mut().enumerate() {
+            hear(monitor, &mut sent[number], &mut states[number]);
+        }
+    }
+    for sent in &sent {
+        assert!(sent.iter().map(|event| event.what.number).is_sorted_by(|a, b| a < b), "{sent:?}");
+    }
+    assert_eq!(sent[0], sent[1]);
+    assert_eq!(sent[0], sent[2]);
+    assert_eq!(sent[0], sent[3]);
+    assert!(states.iter().all(|states| *states > 1), "{states:?}");
+    drop((tell, observer));
+    drop(runtime);
+}
+
+/// Reads one frame: the messages that task `a` sent, and whether it was a state.
+fn hear(monitor: &mut Monitor, sent: &mut Vec<TimedEvent>, states: &mut u32) {
+    match monitor.next() {
+        ServerFrame::Delta(_) => *states += 1,
+        ServerFrame::Events(events) => {
+            assert_eq!(events.lost, 0);
+            let is_sent = |event: &TimedEvent| (event.task, event.what.event) == (Some(A), Event::Sent);
+            sent.extend(events.events.into_iter().filter(is_sent));
+        }
+        ServerFrame::Places(_) => {}
+        other => panic!("{other:?}"),
+    }
 }
 
 #[test]

@@ -1,6 +1,8 @@
 //! Tests of socket paths: private folders, the search for sockets, and stale sockets.
 
-use imrs_wire::obs::place::{MAX_PATH, PlaceError, pid_of, prepare_in, remove_if_stale, sockets_in};
+use imrs_wire::obs::place::{
+    MAX_PATH, PlaceError, pid_of, prepare_in, remove_if_stale, sockets_in, sockets_of,
+};
 use std::fs;
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::os::unix::net::UnixListener;
@@ -14,6 +16,8 @@ fn sockets_of_all_cells_are_found_and_nothing_else() {
     let b = prepare_in(&base, "cell a", "right-arm", 7).unwrap();
     let _listeners = [&a, &b].map(|path| UnixListener::bind(path).unwrap());
     fs::write(a.with_file_name("notes.txt"), "").unwrap();
+    assert_eq!(sockets_of(b.parent().unwrap()), std::slice::from_ref(&b));
+    assert!(sockets_of(&base.join("none")).is_empty(), "a missing folder has none");
     assert_eq!(sockets_in(&base).unwrap(), [b.clone(), a]);
     assert_eq!(pid_of(&b), Some(7));
     let mode = fs::metadata(b.parent().unwrap()).unwrap().permissions().mode();

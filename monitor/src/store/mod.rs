@@ -19,6 +19,7 @@ mod presence;
 pub mod queue;
 pub mod recent;
 pub mod rounds;
+mod samples;
 pub mod service;
 pub mod timeline;
 pub mod trail;
@@ -326,7 +327,8 @@ impl Store {
         self.trail.take(at, incarnation.id, &events);
         let newest = events.events.iter().map(|e| e.mono_us).max().unwrap_or(0);
         incarnation.lost = incarnation.lost.saturating_add(events.lost);
-        self.services.happened(incarnation.id, &events);
+        let last = incarnation.last.as_ref().map(|last| &*last.snapshot);
+        self.services.happened(incarnation.id, last, &events);
         for event in events.events {
             let what = What::Observed { task: event.task, observation: event.what };
             let earlier = std::time::Duration::from_micros(newest - event.mono_us);

@@ -1,6 +1,8 @@
 //! Service statistics of a port, derived from events and snapshots: service times, shares of the sources, and the
 //! number of queued messages.
 
+use super::incarnation::port_of;
+use super::samples::Samples;
 use super::{IncarnationId, Store};
 use imrs_protocol::{Event, PortId, Reason, TaskId};
 use imrs_wire::obs::{Events, Snapshot};
@@ -9,8 +11,6 @@ use std::sync::Arc;
 
 /// How many service times of a port are kept: enough for a 99th percentile, and few enough to follow a change.
 const TIMES: usize = 256;
-/// How many samples of the number of queued messages are kept.
-const FILL: usize = 60;
 /// How many rejected messages, and how many sources, are kept for a port.
 const KNOWN: usize = 256;
 /// If a port has fewer service times than this, there is no forecast.
@@ -93,7 +93,17 @@ impl Service {
 /// The service statistics of a port of a task, if there are any.
 #[must_use]
 pub fn service(store: &Store, incarnation: IncarnationId, task: TaskId, port: PortId) -> Option<Service> {
-    store.services.ports.get(&(incarnation, task, port)).map(|port| port.service())
+    let last = store.incarnation(incarnation)?.last.as_ref()?;
+    let samples = store.services.samples.get(&incarnation)?;
+    let (fill, mut slack) = samples.of(&last.snapshot, task, port);
+    let served = store.services.ports.get(&(incarnation, task, port));
+    // Nothing is known of a port whose queue was always empty, and that had no events.
+    (served.is_some() || fill.iter().any(|len| *len > 0)).then(|| Service {
+        slack_p5_us: percentile(&mut slack, 5),
+        slack_p50_us: percentile(&mut slack, 50),
+        fill,
+        ..served.map_or_else(Service::default, |port| port.service())
+    })
 }
 
 /// The forecast for a port of a task.
@@ -106,27 +116,29 @@ pub fn outlook(store: &Store, incarnation: IncarnationId, task: TaskId, port: Po
 #[derive(Clone, Debug, Default)]
 pub(super) struct Services {
     ports: BTreeMap<(IncarnationId, TaskId, PortId), Arc<Port>>,
+    samples: BTreeMap<IncarnationId, Samples>,
 }
 
 /// The statistics of one port.
 #[derive(Clone, Debug, Default)]
 struct Port {
-    /// How many messages are queued.
+    /// How many messages are queued, by the last state and the events since then.
     waiting: u32,
+    /// How many states there were when `waiting` was last taken from a state.
+    states: u64,
     /// The message that the task is serving: source, number, moment of delivery, and whether other messages were queued
     /// behind it.
     in_hand: Option<(TaskId, u32, u64, bool)>,
     times: VecDeque<u32>,
     shares: BTreeMap<TaskId, Share>,
     rejected: BTreeMap<(TaskId, u32), u32>,
-    fill: VecDeque<u16>,
-    /// The slack of the most urgent message in recent samples, in microseconds; at most about an hour.
-    slack: VecDeque<u32>,
 }
 
 impl Services {
-    /// Updates the statistics with the events of an incarnation, which are in order for each task.
-    pub fn happened(&mut self, incarnation: IncarnationId, events: &Events) {
+    /// Updates the statistics with the events of an incarnation, which are in order for each task. `last` is its last state,
+    /// which says how many messages were queued then.
+    pub fn happened(&mut self, incarnation: IncarnationId, last: Option<&Snapshot>, events: &Events) {
+        let states = self.samples.get(&incarnation).map_or(0, |samples| samples.count);
         if events.lost > 0 {
             // Because events are missing, the measurements that have begun are discarded.
             for (_, port) in self.ports.range_mut(of(incarnation)) {
@@ -145,51 +157,47 @@ impl Services {
                     | Event::Discarded(Reason::Expired | Reason::Evicted | Reason::Superseded)
             );
             if concerns {
-                let port = self.ports.entry((incarnation, task, what.port)).or_default();
-                Arc::make_mut(port).happened(event.mono_us, what.event, what.peer, what.number);
+                let port = Arc::make_mut(self.ports.entry((incarnation, task, what.port)).or_default());
+                if port.states < states {
+                    port.states = states;
+                    let queued = last.and_then(|last| queued_at(last, task, what.port));
+                    port.waiting = queued.unwrap_or(port.waiting);
+                }
+                port.happened(event.mono_us, what.event, what.peer, what.number);
             }
         }
     }
 
-    /// Updates the statistics with a snapshot, which says how many messages are queued.
+    /// Takes a new state of an incarnation.
     pub fn sampled(&mut self, incarnation: IncarnationId, tick_us: u64, snapshot: &Snapshot) {
-        for task in &snapshot.tasks {
-            for view in task.view.ports.iter().filter(|view| view.capacity > 0) {
-                let key = (incarnation, task.view.task, view.port);
-                // A port whose queue was always empty needs no statistics.
-                if view.len == 0 && !self.ports.contains_key(&key) {
-                    continue;
-                }
-                let port = Arc::make_mut(self.ports.entry(key).or_default());
-                port.waiting = view.len.into();
-                keep(&mut port.fill, view.len, FILL);
-                if let Some(slack) = view.min_slack {
-                    let left = slack.0.saturating_mul(tick_us).saturating_sub(task.age_us);
-                    keep(&mut port.slack, u32::try_from(left).unwrap_or(u32::MAX), FILL);
-                }
-            }
-        }
+        self.samples.entry(incarnation).or_default().take(tick_us, snapshot);
     }
 
     /// The approximate memory of the statistics, in bytes.
     pub fn weight(&self) -> usize {
-        let port = |port: &Arc<Port>| {
-            size_of::<Port>()
-                + 4 * port.times.capacity()
-                + 2 * port.fill.capacity()
-                + 4 * port.slack.capacity()
-        };
-        self.ports.values().map(port).sum()
+        let port = |port: &Arc<Port>| size_of::<Port>() + 4 * port.times.capacity();
+        let samples = self.samples.values().map(Samples::weight).sum::<usize>();
+        samples + self.ports.values().map(port).sum::<usize>()
     }
 
     /// Drops the statistics of an incarnation.
     pub fn forget(&mut self, incarnation: IncarnationId) {
         self.ports.retain(|(of, _, _), _| *of != incarnation);
+        self.samples.remove(&incarnation);
     }
 }
 
 fn of(incarnation: IncarnationId) -> std::ops::RangeInclusive<(IncarnationId, TaskId, PortId)> {
     (incarnation, TaskId(0), PortId(0))..=(incarnation, TaskId(u16::MAX), PortId(u16::MAX))
+}
+
+/// How many messages a state has in the queue of a port; `None` for a port without a queue.
+fn queued_at(state: &Snapshot, task: TaskId, port: PortId) -> Option<u32> {
+    // Nodes send tasks in ascending order; if the binary search fails, a linear one decides.
+    let tasks = &state.tasks;
+    let found = tasks.binary_search_by_key(&task, |one| one.view.task).ok().and_then(|at| tasks.get(at));
+    let task = found.or_else(|| tasks.iter().find(|one| one.view.task == task))?;
+    port_of(task, port).filter(|port| port.capacity > 0).map(|port| port.len.into())
 }
 
 impl Port {
@@ -232,7 +240,10 @@ impl Port {
     }
 
     fn took(&mut self, us: u64) {
-        keep(&mut self.times, u32::try_from(us).unwrap_or(u32::MAX), TIMES);
+        if self.times.len() == TIMES {
+            self.times.pop_front();
+        }
+        self.times.push_back(u32::try_from(us).unwrap_or(u32::MAX));
     }
 
     fn share(&mut self, source: TaskId) -> &mut Share {
@@ -262,27 +273,16 @@ impl Port {
 
     fn service(&self) -> Service {
         let mut times: Vec<u64> = self.times.iter().map(|us| u64::from(*us)).collect();
-        let mut slack: Vec<u64> = self.slack.iter().map(|us| u64::from(*us)).collect();
         let known = times.len() >= LEAST;
         Service {
             p50_us: percentile(&mut times, 50).filter(|_| known),
             outlook: self.outlook(),
             samples: times.len(),
             by_source: self.shares.iter().map(|(source, share)| (*source, *share)).collect(),
-            fill: self.fill.iter().copied().collect(),
-            slack_p5_us: percentile(&mut slack, 5),
-            slack_p50_us: percentile(&mut slack, 50),
             rejected: self.rejected.clone(),
+            ..Service::default()
         }
     }
-}
-
-/// Adds `value`, and drops the oldest value if there are then more than `most`.
-fn keep<T>(kept: &mut VecDeque<T>, value: T, most: usize) {
-    if kept.len() == most {
-        kept.pop_front();
-    }
-    kept.push_back(value);
 }
 
 /// The value that `percent` of `values` do not exceed; `None` if there are no values.
@@ -307,7 +307,7 @@ mod tests {
 
     fn learnt(events: Vec<TimedEvent>) -> Service {
         let mut services = Services::default();
-        services.happened(IncarnationId(1), &Events { lost: 0, events });
+        services.happened(IncarnationId(1), None, &Events { lost: 0, events });
         services.ports[&(IncarnationId(1), TaskId(0), PORT)].service()
     }
 
@@ -352,9 +352,9 @@ mod tests {
             event(0, Event::Enqueued, 1, 1),
             event(0, Event::Delivered, 1, 0),
         ];
-        services.happened(IncarnationId(1), &Events { lost: 0, events: first });
+        services.happened(IncarnationId(1), None, &Events { lost: 0, events: first });
         let later = vec![event(9_000_000, Event::Delivered, 1, 1)];
-        services.happened(IncarnationId(1), &Events { lost: 7, events: later });
+        services.happened(IncarnationId(1), None, &Events { lost: 7, events: later });
         assert_eq!(services.ports[&(IncarnationId(1), TaskId(0), PORT)].service().samples, 0);
     }
 

@@ -28,16 +28,24 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let text = fits.or(texts.last()).map_or("", String::as_str);
     let width = columns(label).saturating_add(columns(text));
     let room = canvas.area.width.saturating_sub(width);
-    let mut x = 0;
+    let (mut x, mut shown, mut is_cut) = (0, 0, false);
     for (text, ink, place) in links(app, &cell, now) {
+        // Half of a link's text says nothing, so a link is drawn as a whole or counted.
+        is_cut |= x > 0 && columns(&text) + x + columns(MORE) > room;
+        if is_cut {
+            break;
+        }
         canvas.explain(x, 0, &text);
         let start = x;
-        let end = x.saturating_add(columns(&text));
-        canvas.at(x, 0, room.saturating_sub(x), &text, ink);
-        // Half of a wide character is not drawn, and its column stays free.
-        x = end.min(room);
+        x = canvas.at(x, 0, room.saturating_sub(x), &text, ink);
+        shown += usize::from(place.is_some());
         // A text about all links leads to the explanation of the label `links`.
         canvas.target(start, 0, x - start, place.map_or(Hit::Column("links"), Hit::Place));
+    }
+    if is_cut {
+        let (start, all) = (x, app.store().names(&cell).map_or(0, |names| names.links.len()));
+        x = canvas.at(x, 0, room.saturating_sub(x), &format!(" +{}", all.saturating_sub(shown)), Ink::Dim);
+        canvas.target(start, 0, x - start, Hit::Column("links"));
     }
     let start = x;
     // The label explains itself, and the verdict leads to its screen.
@@ -65,7 +73,7 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink, Option<Place>
     };
     let is_faulty = |ends: &[_]| measured(app, cell, ends, now).any(|link| link.report.integrity.is_faulty);
     let is_late = |ends: &[_]| measured(app, cell, ends, now).any(|link| link.margin() != Margin::Enough);
-    let mut pieces = vec![(" links".to_owned(), Ink::Dim, None)];
+    let mut pieces = Vec::new();
     let mut unknown = 0;
     for link in names.links.iter().take(SHOWN) {
         let name = format!(" {}-{} ", names.node(link.a), names.node(link.b));
@@ -98,6 +106,13 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink, Option<Place>
         let place = Place { node: incarnation.ok_or(node), task: None, port: None };
         pieces.push((name + &text, ink, Some(place)));
     }
+    // The links that need attention come first, because others may have no room.
+    pieces.sort_by_key(|(_, ink, _)| match ink {
+        Ink::Bad => 0,
+        Ink::Warn => 1,
+        _ => 2,
+    });
+    pieces.insert(0, (" links".to_owned(), Ink::Dim, None));
     if unknown > 0 {
         pieces.push((format!("  {unknown} unknown"), Ink::Dim, None));
     }
@@ -131,6 +146,8 @@ fn delay(app: &App, cell: &Name, ends: &[(NodeId, NodeId)], now: Moment) -> (Str
     (text, if is_enough { Ink::Plain } else { Ink::Warn })
 }
 
+/// As wide as the number of the links that have no room.
+const MORE: &str = " +12";
 /// How many links are shown at most; more have no room.
 const SHOWN: usize = 12;
 /// A link is quiet if its last datagram is older than this.

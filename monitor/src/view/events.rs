@@ -15,7 +15,12 @@ fn columns(width: u16) -> Vec<Column> {
     if width >= 60 {
         columns.push(Column::left("NODE", 10));
     }
-    columns.extend([Column::left("KIND", 11), Column::left("OBJECT", if width < 100 { 18 } else { 28 })]);
+    let object = match width {
+        0..100 => 18,
+        100..160 => 22,
+        _ => 28,
+    };
+    columns.extend([Column::left("KIND", 11), Column::left("OBJECT", object)]);
     if width >= 60 {
         columns.push(Column::left("DETAIL", 0));
     }

@@ -45,8 +45,8 @@ pub(super) fn draw(
         canvas.part(area).corner(y, &texts, Ink::Dim);
         return;
     }
-    let pieces = pieces(app, findings, blockers, now);
     let width = canvas.area.width;
+    let pieces = pieces(app, findings, blockers, width, now);
     let hints = hints(app, if pieces.is_empty() { width } else { width / 5 * 2 });
     let taken = hints.iter().map(|(hint, _)| columns(hint) + 2).sum::<u16>();
     let room = width.saturating_sub(taken);
@@ -59,6 +59,10 @@ pub(super) fn draw(
     let mut area = canvas.part(Rect { width: room, ..canvas.area });
     let mut x = 0;
     for (text, ink, hit) in &pieces {
+        // The first words of a long text say enough, its first letters do not.
+        if x > 0 && columns(text).min(LEAST) > room.saturating_sub(x) {
+            continue;
+        }
         let end = area.at(x, y, u16::MAX, text, *ink);
         area.keys(x, y, text, KEYS_OF_TIME);
         area.target(x, y, end - x, *hit);
@@ -108,6 +112,9 @@ fn completions(app: &App, x: u16, y: u16, canvas: &mut Canvas<'_>) {
     }
 }
 
+/// The columns that a text behind another one needs at least.
+const LEAST: u16 = 16;
+
 /// As many hints at keys as fit; always the hint at the help.
 fn hints(app: &App, width: u16) -> Vec<(String, Action)> {
     let mut chosen: Vec<(String, Action)> = Vec::new();
@@ -123,7 +130,13 @@ fn hints(app: &App, width: u16) -> Vec<(String, Action)> {
 }
 
 /// The unusual facts, each with what a click on it does: the mode of the screen, and the most severe finding.
-fn pieces(app: &App, findings: &[Finding], blockers: &[Blocker], now: Moment) -> Vec<(String, Ink, Hit)> {
+fn pieces(
+    app: &App,
+    findings: &[Finding],
+    blockers: &[Blocker],
+    width: u16,
+    now: Moment,
+) -> Vec<(String, Ink, Hit)> {
     let mut pieces: Vec<(String, Ink, Hit)> = Vec::new();
     if let Some((at, _)) = app.mark().filter(|_| app.since_mark) {
         let text = format!(" counters since the mark, {} ago; d ends it", Span(now.saturating_sub(at)));
@@ -131,6 +144,8 @@ fn pieces(app: &App, findings: &[Finding], blockers: &[Blocker], now: Moment) ->
     }
     if let Some(at) = app.paused() {
         let text = match before_pause(app, now) {
+            // The scrub bar names the keys that step, too.
+            Some(before) if width < 110 => format!(" {} back; End returns, space goes on", Span(before)),
             Some(before) => {
                 format!(" {} before the pause; [ ] step, End returns to it, space goes on", Span(before))
             }

@@ -22,7 +22,7 @@ const COLUMNS: [Column; 8] = [
     Column::right("LEFT", 7),
     Column::right("CHARGED", 8),
     Column::right("CLOCKS", 8),
-    Column::left("SINCE", 12),
+    Column::left("SINCE", 16),
     Column::left("TIME LEFT", 0),
 ];
 

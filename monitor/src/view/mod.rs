@@ -172,6 +172,7 @@ fn head(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
 fn pieces(app: &App, width: u16, now: Moment) -> Vec<Piece> {
     let screen = below_window(app);
     let narrow = width < 60;
+    let long = |pieces: &[Piece]| pieces.iter().map(|(text, ..)| columns(text)).fold(0, u16::saturating_add);
     let mut pieces = vec![(" imrs ".to_owned(), Ink::Head, Some(Hit::Key(Action::Settings)))];
     if let Some(cell) = app.cell() {
         cell_at_a_glance(app, &cell, narrow, now, &mut pieces);
@@ -180,9 +181,11 @@ fn pieces(app: &App, width: u16, now: Moment) -> Vec<Piece> {
         // The end of the line is cut first, so the tab comes before the less important pieces.
         let at = pieces.len().min(4);
         pieces.insert(at, only_tab(screen));
+        while long(&pieces) > width && pieces.len() > at + 1 {
+            pieces.pop();
+        }
         return pieces;
     }
-    let long = |pieces: &[Piece]| pieces.iter().map(|(text, ..)| columns(text)).fold(0, u16::saturating_add);
     let short = tabs(screen, &SHORTEST);
     // The tabs are always shown completely: without room for all pieces, the last warnings are left out.
     while long(&pieces).saturating_add(long(&short)) > width && pieces.len() > 4 {

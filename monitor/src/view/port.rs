@@ -333,12 +333,11 @@ const fn column(which: usize, width: u16) -> Column {
         0 => Column::right("#", 2),
         1 => Column::left(
             "FROM",
-            if width < 60 {
-                8
-            } else if wide {
-                16
-            } else {
-                10
+            match width {
+                0..60 => 8,
+                60..100 => 10,
+                100..120 => 12,
+                _ => 16,
             },
         ),
         2 => Column::left("MSG", if wide { 12 } else { 9 }),
@@ -346,14 +345,14 @@ const fn column(which: usize, width: u16) -> Column {
         4 => Column::right("REMAIN", 8),
         5 => Column::left(
             "TIME LEFT",
-            if width < 60 {
-                0
-            } else if width < 100 {
-                18
-            } else if width < 160 {
-                30
-            } else {
-                62
+            // The verdict needs its words more than the bar its length.
+            match width {
+                0..60 => 0,
+                60..80 => 10,
+                80..100 => 18,
+                100..120 => 16,
+                120..160 => 30,
+                _ => 62,
             },
         ),
         6 => Column::right("AGE", 7),

@@ -1,6 +1,6 @@
 //! Screen 3: a card for each rendezvous, with a matrix that shows which member knows of which arrival.
 
-use super::canvas::{Canvas, bar, fit};
+use super::canvas::{Canvas, bar, columns, cut, fit};
 use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::drawn::Hit;
@@ -13,6 +13,7 @@ use crate::store::rounds::history;
 use crate::store::waits::cycles;
 use crate::theme::Ink;
 use imrs_protocol::TaskId;
+use std::collections::BTreeSet;
 
 type Line = Vec<(String, Ink)>;
 
@@ -116,13 +117,12 @@ fn past(app: &App, cell: &Name, meeting: &Meeting, width: u16) -> Vec<Line> {
 /// The lines of the members: titles, a row for each member, and a line for each member that can never arrive.
 fn card(app: &App, meeting: &Meeting, width: u16, lines: &mut Vec<Line>) {
     let narrow = width < NARROW;
-    // A matrix of many members has no room. The rows name the awaited members in any case.
-    let matrix = !narrow && meeting.members.len() * 5 <= usize::from(width) / 3;
+    let matrix = if narrow { Vec::new() } else { heads(meeting, usize::from(width) / 3) };
     if !narrow {
-        lines.push(titles(meeting, matrix));
+        lines.push(titles(&matrix));
     }
     for (i, member) in meeting.members.iter().enumerate() {
-        lines.push(row(app, meeting, i, member, narrow, matrix));
+        lines.push(row(app, meeting, i, member, narrow, &matrix));
     }
     for lost in meeting.lost() {
         let why = match lost.presence {
@@ -152,16 +152,39 @@ fn heading(app: &App, meeting: &Meeting, width: u16) -> Line {
     line
 }
 
-fn titles(meeting: &Meeting, matrix: bool) -> Line {
-    let mut texts = vec![format!("   {:16} ", "MEMBER"), format!("{:18} ", "ARRIVED")];
-    if matrix {
-        texts.extend(meeting.members.iter().map(|member| fit(member.name.shown(), 4) + " "));
+/// The heads of the matrix's columns, all of one width: the names of the members; or their ends, if their beginnings are
+/// alike (`task0`, `task6`). A matrix of many members has no room, and no heads. The rows name the awaited members in any
+/// case.
+fn heads(meeting: &Meeting, room: usize) -> Vec<String> {
+    let names = || meeting.members.iter().map(|member| member.name.shown());
+    let most = (room / meeting.members.len().max(1)).saturating_sub(1);
+    if most < 4 {
+        return Vec::new();
     }
+    let longest = names().map(columns).max().unwrap_or(0);
+    let width = longest.clamp(4, u16::try_from(most).unwrap_or(u16::MAX));
+    let begins: BTreeSet<String> = names().map(|name| cut(name, width)).collect();
+    if begins.len() == meeting.members.len() {
+        return names().map(|name| fit(name, width)).collect();
+    }
+    let end = |name: &str| {
+        let at = name.char_indices().map(|(at, _)| at).find(|at| columns(&name[*at..]) <= width);
+        let end = &name[at.unwrap_or(0)..];
+        // Half of a wide character is not drawn, and its column stays free.
+        let free = columns(name).min(width).saturating_sub(columns(end));
+        fit(&(" ".repeat(free.into()) + end), width)
+    };
+    names().map(end).collect()
+}
+
+fn titles(matrix: &[String]) -> Line {
+    let mut texts = vec![format!("   {:16} ", "MEMBER"), format!("{:18} ", "ARRIVED")];
+    texts.extend(matrix.iter().map(|head| format!("{head} ")));
     texts.extend(["CONFIRMS ", "WAITS FOR"].map(str::to_owned));
     texts.into_iter().map(|text| (text, Ink::Dim)).collect()
 }
 
-fn row(app: &App, meeting: &Meeting, at: usize, member: &Member, narrow: bool, matrix: bool) -> Line {
+fn row(app: &App, meeting: &Meeting, at: usize, member: &Member, narrow: bool, matrix: &[String]) -> Line {
     let gone = member.is_gone();
     let glyphs = app.theme.glyphs;
     let sign = if gone { glyphs.dead } else { " " };
@@ -174,7 +197,7 @@ fn row(app: &App, meeting: &Meeting, at: usize, member: &Member, narrow: bool, m
         (format!(" {sign} {} ", fit(&name, 16)), plain(gone)),
         (format!("{} ", fit(&standing, 18)), ink),
     ];
-    if matrix {
+    if let Some(head) = matrix.first() {
         for (j, knows) in member.knows.iter().enumerate() {
             let (cell, ink) = match knows {
                 _ if j == at => ("-", Ink::Dim),
@@ -182,7 +205,7 @@ fn row(app: &App, meeting: &Meeting, at: usize, member: &Member, narrow: bool, m
                 Some(false) => (glyphs.no, Ink::Warn),
                 None => ("?", Ink::Dim),
             };
-            line.push((format!("{cell:4} "), ink));
+            line.push((fit(cell, columns(head)) + " ", ink));
         }
     }
     let others = meeting.members.len().saturating_sub(1);

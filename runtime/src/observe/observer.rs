@@ -8,6 +8,7 @@
 
 mod client;
 mod due;
+mod pass;
 mod showing;
 mod stream;
 
@@ -16,6 +17,7 @@ pub use showing::{AddressBook, RecordingWatch, Showing};
 use crate::node::Node;
 use client::Client;
 use imrs_wire::obs::place::PlaceError;
+use pass::Pass;
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 use rustix::process::setpriority_process;
 use std::fs::{self, Permissions};
@@ -199,16 +201,18 @@ impl Server {
         // This sets the priority of this thread alone. No system refuses it; if one did, the thread would run with ordinary
         // priority.
         let _ = setpriority_process(None, LEAST_PRIORITY);
+        let mut pass = Pass::new(Instant::now());
         loop {
             let Some(ready) = self.sleep() else { return self.say_goodbye() };
             let now = Instant::now();
+            pass.begin(now);
             self.rest_until = self.rest_until.filter(|&until| until > now);
             let mut at = 0;
             let mut room = self.room(now);
             self.clients.retain_mut(|client| {
                 let served = client.is_served();
                 let ready = ready.clients.get(at).copied().unwrap_or_default();
-                let stays = client.serve(ready, room > 0, now);
+                let stays = client.serve(ready, room > 0, &mut pass);
                 room = room.saturating_sub(usize::from(stays && !served && client.is_served()));
                 at += 1;
                 stays

@@ -5,12 +5,12 @@ use crate::clock;
 use crate::link::LinkDiscard;
 use crate::node::Node;
 use crate::node::local_task::{BEGUN, LocalTask};
-use crate::observe::ring::Ring;
+use crate::observe::observations::Observations;
 use crate::sync::Ordering;
-use imrs_protocol::{Observation, PortId, Reason, TaskId, Ticks};
+use imrs_protocol::{PortId, Reason, TaskId, Ticks};
 use imrs_wire::obs::{
     Count, Detail, Gathering, HeldBack, HeldTask, LinkReports, LinkView, NodeIdentity, PortDetail, Snapshot,
-    TimedEvent, TimerEntry,
+    TimerEntry,
 };
 use std::sync::Arc;
 
@@ -119,7 +119,7 @@ impl Node {
     pub fn observe(self: &Arc<Self>) -> Observations {
         let tasks = self.locals.list.iter().map(|local| self.look(local, |comm| comm.ring().subscribe()));
         let positions = tasks.chain([self.dispatch.with_ring(|ring| ring.subscribe())]).collect();
-        Observations { node: Arc::clone(self), positions }
+        Observations::new(Arc::clone(self), positions)
     }
 
     fn timer_entries(&self, now: u64) -> Vec<TimerEntry> {
@@ -145,84 +145,4 @@ impl Node {
 
 fn named(name: &str, count: u64) -> Count {
     Count { name: name.into(), count }
-}
-
-/// Follows the observations of a node. A reader that reads too seldom loses the oldest observations, and learns how many;
-/// the node never waits.
-///
-/// ```
-/// use imrs_protocol::{Cell, CellTable, Event, PortDecl, Ticks, Usage};
-/// use imrs_runtime::Runtime;
-/// use std::{sync::Arc, time::Duration};
-///
-/// let mut cell = Cell::new("news", Ticks(1_000));
-/// let here = cell.node("here");
-/// let (a, b) = (cell.task("a", here), cell.task("b", here));
-/// cell.port(PortDecl::new("news", a, Usage::Send, &[b], Ticks(1_000_000)));
-/// let table = Arc::new(CellTable::new(cell).expect("a sound cell"));
-/// let node = Runtime::builder(table, here)
-///     .task("a", |ctx| {
-///         ctx.delay(Duration::from_millis(50))?;
-///         let news = ctx.port("news")?;
-///         ctx.send(news, b"part")?;
-///         Ok(())
-///     })
-///     .task("b", |ctx| ctx.receive(None, None).map(drop))
-///     .start()
-///     .expect("a node that starts");
-/// let mut observations = node.node().observe();
-/// assert!(node.wait(Duration::from_secs(10)));
-/// let mut events = Vec::new();
-/// let lost = observations.drain(100, &mut events);
-/// assert_eq!(lost, 0);
-/// assert!(events.iter().any(|event| event.what.event == Event::Sent));
-/// ```
-pub struct Observations {
-    node: Arc<Node>,
-    /// For each state machine, the position from which to read on: in the order of the tasks, the transit buffer last.
-    positions: Box<[u64]>,
-}
-
-impl Observations {
-    /// Appends the observations since the last call to `events`, at most `room` of each state machine, oldest first for
-    /// each. Returns how many observations were lost.
-    pub fn drain(&mut self, room: usize, events: &mut Vec<TimedEvent>) -> u64 {
-        self.drain_of(|_| true, room, events)
-    }
-
-    /// As [`drain`](Self::drain), for the state machines that `wanted` selects (`None` stands for the transit buffer).
-    /// The observations of other state machines are skipped, and not counted as lost.
-    pub fn drain_of(
-        &mut self,
-        wanted: impl Fn(Option<TaskId>) -> bool,
-        room: usize,
-        events: &mut Vec<TimedEvent>,
-    ) -> u64 {
-        let mut lost = 0;
-        let Some((transit, tasks)) = self.positions.split_last_mut() else { return 0 };
-        let mut follow = |ring: &Ring, position: &mut u64, task: Option<TaskId>| {
-            if !wanted(task) {
-                (*position, _) = ring.read(*position, usize::MAX, |_, _| {});
-                return;
-            }
-            let each = |mono_us, what: Observation| events.push(TimedEvent { mono_us, task, what });
-            let (next, gone) = ring.read(*position, room, each);
-            *position = next;
-            lost += gone;
-        };
-        for (local, position) in self.node.locals.list.iter().zip(tasks) {
-            self.node.look(local, |comm| follow(comm.ring(), position, Some(local.task)));
-        }
-        self.node.dispatch.with_ring(|ring| follow(ring, transit, None));
-        lost
-    }
-}
-
-impl Drop for Observations {
-    fn drop(&mut self) {
-        for local in &self.node.locals.list {
-            self.node.look(local, |comm| comm.ring().unsubscribe());
-        }
-        self.node.dispatch.with_ring(Ring::unsubscribe);
-    }
 }

@@ -2,6 +2,7 @@
 
 use super::decode::{DecodeError, whole};
 use super::delta::Delta;
+use super::framing::FrameError;
 use super::links::LinkReports;
 use super::snapshot::Snapshot;
 use super::told::{Denied, Detail, HeldBack, Places, Pong, Vitals};
@@ -173,6 +174,14 @@ pub enum ServerFrame {
 }
 
 impl ServerFrame {
+    /// The bytes of the frame, for [`push_bytes`](super::FrameWriter::push_bytes): encoded once, and sent to several monitors.
+    ///
+    /// # Errors
+    /// [`FrameError::Encode`].
+    pub fn encode(&self) -> Result<Vec<u8>, FrameError> {
+        postcard::to_extend(self, Vec::with_capacity(4096)).map_err(FrameError::Encode)
+    }
+
     /// The first protocol version with this kind of frame.
     #[must_use]
     pub const fn since(&self) -> Version {

@@ -84,15 +84,19 @@ pub fn sockets_in(base: &Path) -> Result<Vec<PathBuf>, PlaceError> {
         Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         Err(source) => return Err(PlaceError::Io { path: base.to_owned(), source }),
     };
-    let own = own_uid();
-    let ours = |path: &Path| fs::symlink_metadata(path).is_ok_and(|m| m.is_dir() && Some(m.uid()) == own);
-    let mut found = Vec::new();
-    for dir in entries.flatten().map(|e| e.path()).filter(|p| ours(p)) {
-        let files = fs::read_dir(dir).into_iter().flatten().flatten().map(|e| e.path());
-        found.extend(files.filter(|p| pid_of(p).is_some()));
-    }
+    let mut found: Vec<_> = entries.flatten().flat_map(|entry| sockets_of(&entry.path())).collect();
     found.sort();
     Ok(found)
+}
+
+/// The sockets in the folder of one cell. A missing folder, and one of another user, has none.
+#[must_use]
+pub fn sockets_of(cell: &Path) -> Vec<PathBuf> {
+    if !fs::symlink_metadata(cell).is_ok_and(|m| m.is_dir() && Some(m.uid()) == own_uid()) {
+        return Vec::new();
+    }
+    let files = fs::read_dir(cell).into_iter().flatten().flatten().map(|entry| entry.path());
+    files.filter(|path| pid_of(path).is_some()).collect()
 }
 
 /// The process id in a socket's file name.

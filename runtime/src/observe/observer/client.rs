@@ -1,6 +1,7 @@
 //! The connection of one monitor to a node.
 
 use super::due::{Subscription, mono_us};
+use super::pass::Pass;
 use super::stream::Stream;
 use super::{MAX_MONITORS, Showing};
 use imrs_wire::obs::{
@@ -87,8 +88,8 @@ impl Client {
 
     /// Reads and writes as much as possible. `room` says whether one more monitor can be served. Returns false if the
     /// connection is over.
-    pub fn serve(&mut self, ready: bool, room: bool, now: Instant) -> bool {
-        self.try_serve(ready, room, now).is_ok()
+    pub fn serve(&mut self, ready: bool, room: bool, pass: &mut Pass) -> bool {
+        self.try_serve(ready, room, pass).is_ok()
     }
 
     /// Whether the monitor has shown that it is allowed to look, and so takes one of the places.
@@ -116,7 +117,8 @@ impl Client {
         }
     }
 
-    fn try_serve(&mut self, ready: bool, room: bool, now: Instant) -> Result<(), Gone> {
+    fn try_serve(&mut self, ready: bool, room: bool, pass: &mut Pass) -> Result<(), Gone> {
+        let now = pass.now;
         if ready {
             self.flush()?;
             self.read(room, now)?;
@@ -135,7 +137,7 @@ impl Client {
             if matches!(self.state, State::Leaving) {
                 return Err(Gone);
             }
-            self.push_what_is_due(now)?;
+            self.push_what_is_due(pass)?;
         }
         self.flush()?;
         if matches!(self.state, State::Leaving) && self.writer.is_drained() { Err(Gone) } else { Ok(()) }
@@ -299,11 +301,11 @@ impl Client {
     }
 
     /// Makes at most one frame, and none while an earlier frame is still being sent.
-    fn push_what_is_due(&mut self, now: Instant) -> Result<(), Gone> {
+    fn push_what_is_due(&mut self, pass: &mut Pass) -> Result<(), Gone> {
         if let Some(pong) = self.pong.take() {
             return Ok(self.writer.push(&ServerFrame::Pong(pong))?);
         }
         let State::Subscribed(subscription) = &mut self.state else { return Ok(()) };
-        Ok(subscription.push(&self.showing, now, &mut self.writer)?)
+        Ok(subscription.push(&self.showing, pass, &mut self.writer)?)
     }
 }

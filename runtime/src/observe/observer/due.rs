@@ -1,14 +1,17 @@
 //! Decides which frames one monitor gets, and when.
 
 use super::Showing;
+use super::pass::Pass;
 use crate::clock;
 use crate::observe::lateness::Seen;
-use crate::observe::snapshot::{Observations, QUEUE_LIMIT, Watching};
+use crate::observe::observations::Observations;
+use crate::observe::snapshot::{QUEUE_LIMIT, Watching};
 use imrs_wire::obs::{
-    Delta, EventFilter, Events, FrameError, FrameWriter, HeldBack, MAX_WATCHED, Places, ServerFrame,
-    Snapshot, Subscribe, Version, Want,
+    EventFilter, FrameError, FrameWriter, HeldBack, MAX_WATCHED, Places, ServerFrame, Snapshot, Subscribe,
+    Version, Want,
 };
 use std::io::Write;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// The shortest time between two snapshots.
@@ -25,10 +28,6 @@ const HELD_BACK_PERIOD: Duration = Duration::from_secs(1);
 const HELD_BACK: Version = Version { major: 1, minor: 2 };
 /// The first version that reports on links.
 const LINKS: Version = Version { major: 1, minor: 4 };
-/// How many events of one state machine are put into one frame, at most.
-const EVENT_ROOM: usize = 512;
-/// How many events are put into one frame, at most.
-const MAX_EVENTS: usize = 16_384;
 
 /// The frames for which one monitor has asked.
 pub(super) struct Subscription {
@@ -71,7 +70,7 @@ struct Following {
 /// The frames that versions 1.1, 1.2 and 1.4 added.
 struct More {
     /// The last snapshot that the monitor got. The next changes are computed from it.
-    told: Option<Snapshot>,
+    told: Option<Arc<Snapshot>>,
     /// Since when the frame about the watched queues is due.
     detail: Option<Instant>,
     vitals: Option<(Duration, Instant)>,
@@ -176,27 +175,35 @@ impl Subscription {
     pub fn push(
         &mut self,
         showing: &Showing,
-        now: Instant,
+        pass: &mut Pass,
         writer: &mut FrameWriter<impl Write>,
     ) -> Result<(), FrameError> {
         if self.credit == 0 {
             return Ok(());
         }
+        let now = pass.now;
         let mut dues = self.dues();
         dues.sort_by_key(|(at, _)| *at);
         for (_, what) in dues.into_iter().filter(|(at, _)| at.is_some_and(|at| at <= now)) {
             let frame = match what {
                 What::State => {
-                    self.next_snapshot = now + self.period;
-                    self.push_snapshot(showing, now, writer)?;
+                    self.next_snapshot = pass.next(self.period);
+                    self.push_snapshot(showing, pass, writer)?;
                     self.credit -= 1;
                     return Ok(());
                 }
-                What::Places => self.places(showing, now),
+                What::Events => {
+                    let frame = self.events(pass)?;
+                    if !frame.is_empty() {
+                        self.credit -= 1;
+                        return writer.push_bytes(&frame);
+                    }
+                    None
+                }
+                What::Places => self.places(showing, pass),
                 What::HeldBack => self.held_back(showing, now),
                 What::Detail => self.detail(showing),
-                What::Events => self.events(now),
-                What::Vitals => self.vitals(showing, now),
+                What::Vitals => self.vitals(showing, pass),
                 What::Links => self.links(showing),
             };
             if let Some(frame) = frame {
@@ -213,15 +220,15 @@ impl Subscription {
     fn push_snapshot(
         &mut self,
         showing: &Showing,
-        now: Instant,
+        pass: &mut Pass,
         writer: &mut FrameWriter<impl Write>,
     ) -> Result<(), FrameError> {
         let mut watching = self.watching.clone();
         loop {
-            let snapshot = showing.node.snapshot_of(&watching);
+            let snapshot = pass.snapshot(showing, &watching);
             let pushed = match &mut self.more {
-                None => writer.push(&ServerFrame::Snapshot(snapshot)),
-                Some(more) => more.push_change(snapshot, now, writer),
+                None => writer.push(&ServerFrame::Snapshot(Snapshot::clone(&snapshot))),
+                Some(more) => more.push_change(snapshot, pass, writer),
             };
             match pushed {
                 Err(FrameError::TooLong { .. }) if watching != Watching::default() => {
@@ -230,7 +237,7 @@ impl Subscription {
                 }
                 Ok(()) => {
                     if let Some(more) = &mut self.more {
-                        more.detail = (!self.watching.ports.is_empty()).then_some(now);
+                        more.detail = (!self.watching.ports.is_empty()).then_some(pass.now);
                     }
                     return Ok(());
                 }
@@ -244,25 +251,18 @@ impl Subscription {
         Some(ServerFrame::Detail(showing.node.detail(&self.watching.ports)))
     }
 
-    fn events(&mut self, now: Instant) -> Option<ServerFrame> {
-        let following = self.events.as_mut().filter(|following| following.next <= now)?;
-        following.next = now + EVENT_PERIOD;
-        let mut frame = Events::default();
-        let filter = &following.filter;
-        let drained = following.observations.drain_of(|task| filter.of(task), EVENT_ROOM, &mut frame.events);
-        frame.lost = drained;
-        frame.events.retain(|event| filter.wants(event.task, event.what.event));
-        frame.lost += frame.events.len().saturating_sub(MAX_EVENTS) as u64;
-        frame.events.truncate(MAX_EVENTS);
-        let any = !frame.events.is_empty() || frame.lost > 0;
-        any.then_some(ServerFrame::Events(frame))
+    /// The encoded frame; empty if there are no new events.
+    fn events(&mut self, pass: &mut Pass) -> Result<Arc<Vec<u8>>, FrameError> {
+        let Some(following) = &mut self.events else { return Ok(Arc::default()) };
+        following.next = pass.next(EVENT_PERIOD);
+        pass.events(&following.filter, &mut following.observations)
     }
 
-    fn vitals(&mut self, showing: &Showing, now: Instant) -> Option<ServerFrame> {
+    fn vitals(&mut self, showing: &Showing, pass: &Pass) -> Option<ServerFrame> {
         let more = self.more.as_mut()?;
-        let (every, at) = more.vitals.filter(|(_, at)| *at <= now)?;
-        more.vitals = Some((every, at.max(now) + every));
-        more.links = more.hears_links.then_some(now);
+        let (every, _) = more.vitals.filter(|(_, at)| *at <= pass.now)?;
+        more.vitals = Some((every, pass.next(every)));
+        more.links = more.hears_links.then_some(pass.now);
         let recording = showing.recording.as_ref().and_then(|watch| watch());
         Some(ServerFrame::Vitals(showing.node.vitals(&mut more.late, recording)))
     }
@@ -273,15 +273,15 @@ impl Subscription {
         (!reports.links.is_empty()).then_some(ServerFrame::Links(reports))
     }
 
-    fn places(&mut self, showing: &Showing, now: Instant) -> Option<ServerFrame> {
-        let more = self.more.as_mut().filter(|more| more.places.1 <= now)?;
-        more.places.1 = now + PLACES_PERIOD;
-        let places = showing.places();
-        if places == more.places.0 {
+    fn places(&mut self, showing: &Showing, pass: &mut Pass) -> Option<ServerFrame> {
+        let more = self.more.as_mut().filter(|more| more.places.1 <= pass.now)?;
+        more.places.1 = pass.next(PLACES_PERIOD);
+        let places = pass.places(showing);
+        if *places == more.places.0 {
             return None;
         }
         more.places.0 = places.clone();
-        Some(ServerFrame::Places(places))
+        Some(ServerFrame::Places(places.clone()))
     }
 
     /// The frame about held-back scripts. It is repeated while any script is held back, because a monitor that records
@@ -299,18 +299,14 @@ impl Subscription {
 impl More {
     fn push_change(
         &mut self,
-        snapshot: Snapshot,
-        now: Instant,
+        snapshot: Arc<Snapshot>,
+        pass: &mut Pass,
         writer: &mut FrameWriter<impl Write>,
     ) -> Result<(), FrameError> {
-        if let Some((every, at)) = self.whole.filter(|(_, at)| *at <= now) {
-            (self.told, self.whole) = (None, Some((every, at.max(now) + every)));
+        if let Some((every, _)) = self.whole.filter(|(_, at)| *at <= pass.now) {
+            (self.told, self.whole) = (None, Some((every, pass.next(every))));
         }
-        let delta = match &self.told {
-            Some(told) => Delta::between(told, &snapshot),
-            None => Delta::whole(&snapshot),
-        };
-        writer.push(&ServerFrame::Delta(delta))?;
+        writer.push_bytes(&pass.change(self.told.as_ref(), &snapshot)?)?;
         self.told = Some(snapshot);
         Ok(())
     }

@@ -113,7 +113,9 @@ impl Showing {
     /// this node was given.
     pub(super) fn places(&self) -> Places {
         let Some(own) = &self.beside else { return Places { nodes: self.book.places() } };
-        let sockets = own.parent().and_then(Path::parent).map(place::sockets_in);
+        // Only the folder of this cell is read: every second, while a monitor is connected.
+        let mut sockets = own.parent().map(place::sockets_of).unwrap_or_default();
+        sockets.sort();
         let nodes = &self.node.table().cell().nodes;
         let place = |socket: PathBuf| {
             let name = place::node_of(&socket)?;
@@ -121,11 +123,7 @@ impl Showing {
             let address = format!("unix:{}", socket.to_str()?);
             Some(NodePlace { node: NodeId::from_index(node), address })
         };
-        let beside = sockets
-            .into_iter()
-            .flatten()
-            .flatten()
-            .filter(|socket| socket.parent() == own.parent() && socket != own);
+        let beside = sockets.into_iter().filter(|socket| socket != own);
         Places { nodes: beside.filter_map(place).collect() }
     }
 }
