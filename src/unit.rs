@@ -106,8 +106,9 @@ RuntimeDirectoryPreserve=yes
 Environment=XDG_STATE_HOME=%S XDG_RUNTIME_DIR=%t
 Restart=on-failure
 RestartSec=1
-# Exit code 2: the cell, its keys or the options are wrong, and another start would not help.
-RestartPreventExitStatus=2
+# Exit code 2: the cell, its keys or the options are wrong, and another start would not help. Exit codes 5 and 6: the tasks
+# ended in order, but evidence is missing, or links were faulty or datagrams of others came.
+RestartPreventExitStatus=2 5 6
 WatchdogSec=3
 # Only the launcher gets the signal. It lets the tasks end in order, and then the node.
 KillMode=mixed

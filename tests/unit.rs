@@ -115,7 +115,7 @@ fn a_unit_runs_one_node_with_its_options() {
         "Type=notify",
         "WatchdogSec=3",
         "Restart=on-failure",
-        "RestartPreventExitStatus=2",
+        "RestartPreventExitStatus=2 5 6",
         "KillMode=mixed",
         "LimitRTPRIO=99",
         "Environment=XDG_STATE_HOME=%S XDG_RUNTIME_DIR=%t",

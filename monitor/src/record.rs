@@ -35,6 +35,8 @@ struct Known {
     identity: NodeIdentity,
     attached: Vec<u8>,
     table: Option<Vec<u8>>,
+    /// Whether the node said in its last snapshot that it runs without keys.
+    insecure: bool,
 }
 
 struct Running {
@@ -116,11 +118,15 @@ impl Tape {
                 let role = Role::Node(identity.clone());
                 let hello = Hello { schema: SCHEMA, pid: *pid, build: build.clone(), mono_us: 0, role };
                 let attached = Shown::Attached { version: VERSION, hello }.encode();
-                let known = Known { identity: identity.clone(), attached: attached.clone(), table: None };
+                let (identity, attached_bytes) = (identity.clone(), attached.clone());
+                let known = Known { identity, attached: attached_bytes, table: None, insecure: false };
                 inner.known.insert(*source, known);
                 attached
             }
             Feed::Frame(frame) => {
+                if let (Some(insecure), Some(known)) = (says_insecure(frame), inner.known.get_mut(source)) {
+                    known.insecure = insecure;
+                }
                 let is_table = matches!(**frame, ServerFrame::Table(_));
                 let follows = inner.running.as_mut().is_some_and(|running| running.follows(*source, frame));
                 if !is_table && !follows {
@@ -159,6 +165,7 @@ impl Tape {
             cell: first.map_or_else(String::new, |first| first.cell.clone()),
             digest: first.map_or(0, |first| first.digest),
             build: concat!("imrs-monitor ", env!("CARGO_PKG_VERSION")).into(),
+            insecure: inner.known.values().any(|known| known.insecure),
             began: u64::try_from(since.as_micros()).unwrap_or(0),
             ..Header::default()
         };
@@ -190,6 +197,15 @@ impl Tape {
 
     fn inner(&self) -> MutexGuard<'_, Inner> {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Whether a frame says that its node runs without keys; `None` if it says nothing about that.
+fn says_insecure(frame: &ServerFrame) -> Option<bool> {
+    match frame {
+        ServerFrame::Snapshot(snapshot) => Some(snapshot.insecure),
+        ServerFrame::Delta(delta) => delta.node.as_ref().map(|node| node.insecure),
+        _ => None,
     }
 }
 

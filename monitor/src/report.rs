@@ -407,7 +407,9 @@ fn text_node(incarnation: &NodeIncarnation, now: Moment, out: &mut String) {
     let _ = write!(out, "  node {}: {presence}{pid}, incarnation {}", incarnation.node, incarnation.number);
     let _ = write!(out, ", ran {}", Span::micros(uptime));
     let real_time = incarnation.last.as_ref().and_then(|s| real_time(s.snapshot.real_time));
-    let _ = writeln!(out, "{}", real_time.map_or_else(String::new, |how| format!(", real time {how}")));
+    let real_time = real_time.map_or_else(String::new, |how| format!(", real time {how}"));
+    let is_insecure = incarnation.last.as_ref().is_some_and(|s| s.snapshot.insecure);
+    let _ = writeln!(out, "{real_time}{}", if is_insecure { ", INSECURE" } else { "" });
     for task in incarnation.tasks() {
         let does = match task.liveness {
             Liveness::Crashed => "CRASHED".to_owned(),

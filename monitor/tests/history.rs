@@ -12,6 +12,9 @@ use imrs_monitor::theme::Theme;
 use imrs_monitor::{history, report};
 use imrs_protocol::{Event, Ticks};
 use imrs_wire::obs::{Delta, Detail, Pong, ServerFrame, Snapshot, Vitals};
+use imrs_wire::recording::RecordingReader;
+use std::fs::File;
+use std::io::BufReader;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -94,6 +97,23 @@ fn queues_the_process_and_the_clock_are_kept_by_node() {
     // A pong with an impossible echo is ignored.
     store.apply(arrival(ms(2_020), ServerFrame::Pong(Pong { echo_us: u64::MAX, mono_us: 1 })));
     assert_eq!(store.incarnations()[0].clock, Some(clock));
+}
+
+#[test]
+fn the_header_of_a_recording_says_that_a_node_runs_without_keys() {
+    let folder = tempfile::tempdir().unwrap();
+    for insecure in [true, false] {
+        let path = folder.path().join(format!("{insecure}.imrs"));
+        let tape = Tape::default();
+        attached().iter().for_each(|arrival| tape.take(arrival));
+        let told = Snapshot { insecure, ..state(0, 0) };
+        tape.take(&arrival(period(0), ServerFrame::Delta(Delta::whole(&told))));
+        tape.start(&path, period(1)).unwrap();
+        tape.stop().unwrap();
+        let file = File::open(&path).unwrap();
+        let reader = RecordingReader::new(BufReader::new(file)).unwrap();
+        assert_eq!(reader.header().insecure, insecure);
+    }
 }
 
 #[test]

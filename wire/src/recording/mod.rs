@@ -61,7 +61,8 @@ pub struct Header {
     pub restarted: bool,
     /// The name and version of the program that ran.
     pub build: String,
-    /// Whether the links of the node ran without authentication keys.
+    /// Whether the links of the node ran without authentication keys. In a recording of observations: whether a node was
+    /// known to run so when the recording began; each snapshot says it of its node.
     pub insecure: bool,
     /// When the recording began, in microseconds since 1970. For people; nothing is computed from it.
     pub began: u64,
