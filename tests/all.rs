@@ -21,6 +21,7 @@ mod guide;
 mod hostile;
 mod kept_out;
 mod link_health;
+mod load;
 mod monitor;
 mod network;
 mod observe;

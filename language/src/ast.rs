@@ -1,5 +1,4 @@
-//! The abstract syntax tree (AST) of a cell file: one type for each production of the grammar (`specs/language/grammar.md`).
-//! Names are not resolved and nothing is checked. Every node has its span.
+//! The abstract syntax tree (AST) of a cell file, by `specs/language/grammar.md`: names are not resolved, nothing is checked.
 
 use crate::span::Span;
 use imrs_protocol::Usage;
@@ -153,8 +152,7 @@ pub struct TaskDecl {
     pub variables: Vec<VarDecl>,
     /// The task's handlers, in the order of the file.
     pub handlers: Vec<Handler>,
-    /// The task's body. Handlers and statements may alternate in the text. An `order` in front of the handlers is the first
-    /// statement of the body.
+    /// The task's body. Handlers and statements may alternate. An `order` in front of the handlers is its first statement.
     pub body: Vec<Statement>,
     /// `takeover ...`: what the task runs when it takes over from its primary (D61).
     pub takeover: Option<Vec<Statement>>,

@@ -3,7 +3,7 @@
 
 mod whole;
 
-pub use whole::{Check, CheckKind, Couple, CoupleKind, Faults, Pause};
+pub use whole::{Check, CheckKind, Couple, CoupleKind, Faults, Link, Pause};
 
 use crate::ast::BranchKind;
 use crate::span::Span;
@@ -90,21 +90,6 @@ pub struct Node {
     /// The node's UDP port.
     pub port: Option<u16>,
     /// The span of the node's name.
-    pub span: Span,
-}
-
-/// A link.
-#[derive(Clone, Debug)]
-pub struct Link {
-    /// The node at one end.
-    pub a: NodeId,
-    /// The node at the other end.
-    pub b: NodeId,
-    /// The longest delay of a packet that is not lost (D20).
-    pub delay: Duration,
-    /// How many packets the link carries in a time, if the cell says so.
-    pub capacity: Option<(u16, Duration)>,
-    /// The link's span.
     pub span: Span,
 }
 

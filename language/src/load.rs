@@ -1,7 +1,7 @@
 //! The traffic that a cell puts on its links, estimated from its text (§5.2.3).
 //!
 //! A declared `rate` says how often a task sends at most. Without one, the `time_out` is the only hint that a cell gives: an
-//! answer or a message that nobody needs after this time is hardly asked for more often. So an estimate by time_outs is no bound.
+//! answer or a message that no task needs after this time is hardly asked for more often. So an estimate by time_outs is no bound.
 
 use crate::checks::senders;
 use crate::hir::{CoupleKind, Duration, Field, Hir, Port, StatementKind};

@@ -166,7 +166,7 @@ pub fn json(store: &Store, only: Option<&str>, now: Moment) -> String {
 /// The selected cells of a recording as one line of JSON, with the position in the recording.
 ///
 /// # Panics
-/// Never, as [`json`].
+/// Never.
 #[must_use]
 pub fn json_of_replay(player: &Player, only: Option<&str>) -> String {
     whole(player.store(), only, player.moment(), Some(tell::position(player)))
@@ -401,15 +401,13 @@ pub fn text(store: &Store, only: Option<&str>, now: Moment) -> String {
 }
 
 fn text_node(incarnation: &NodeIncarnation, now: Moment, out: &mut String) {
-    let uptime = incarnation.last.as_ref().map_or(0, |s| s.snapshot.uptime_us);
-    let presence = incarnation.presence(now);
+    let (presence, last) = (incarnation.presence(now), incarnation.last.as_ref());
     let pid = if incarnation.pid == 0 { String::new() } else { format!(", pid {}", incarnation.pid) };
     let _ = write!(out, "  node {}: {presence}{pid}, incarnation {}", incarnation.node, incarnation.number);
-    let _ = write!(out, ", ran {}", Span::micros(uptime));
-    let real_time = incarnation.last.as_ref().and_then(|s| real_time(s.snapshot.real_time));
-    let real_time = real_time.map_or_else(String::new, |how| format!(", real time {how}"));
-    let is_insecure = incarnation.last.as_ref().is_some_and(|s| s.snapshot.insecure);
-    let _ = writeln!(out, "{real_time}{}", if is_insecure { ", INSECURE" } else { "" });
+    let _ = write!(out, ", ran {}", Span::micros(last.map_or(0, |s| s.snapshot.uptime_us)));
+    let real_time = last.and_then(|s| real_time(s.snapshot.real_time));
+    out.extend(real_time.map(|how| format!(", real time {how}")));
+    out.push_str(if last.is_some_and(|s| s.snapshot.insecure) { ", INSECURE\n" } else { "\n" });
     for task in incarnation.tasks() {
         let does = match task.liveness {
             Liveness::Crashed => "CRASHED".to_owned(),

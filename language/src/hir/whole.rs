@@ -46,6 +46,21 @@ pub enum CoupleKind {
     },
 }
 
+/// A link.
+#[derive(Clone, Debug)]
+pub struct Link {
+    /// The node at one end.
+    pub a: NodeId,
+    /// The node at the other end.
+    pub b: NodeId,
+    /// The longest delay of a packet that is not lost (D20).
+    pub delay: Duration,
+    /// How many packets the link carries in a time, if the cell says so.
+    pub capacity: Option<(u16, Duration)>,
+    /// The link's span.
+    pub span: Span,
+}
+
 /// A fault hypothesis: what may go wrong, and how often. The checker tries each hypothesis on its own.
 #[derive(Clone, Debug, Default)]
 pub struct Faults {

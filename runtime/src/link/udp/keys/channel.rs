@@ -220,7 +220,7 @@ impl Channel {
     }
 
     /// A datagram that is authenticated with another cell's key proves nothing. While there is no session, several of them
-    /// are a hint for the users. A single one may have been damaged on its way.
+    /// are a hint for the users. A single one may have been damaged by the network.
     fn unclosed(&mut self, said: &Handshake<'_>) -> Result<Answer, LinkDiscard> {
         let other_keys = Refused::OtherKeys as u8;
         let awaited = self.making.as_ref().is_some_and(|making| making.nonce == said.nonce);

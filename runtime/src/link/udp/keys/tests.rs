@@ -264,7 +264,7 @@ fn first_datagrams_that_were_damaged_do_not_say_that_keys_differ() {
         let at = at * 10_000 * MS;
         let mut hello = ends[0].knock(at).unwrap();
         // One bit of the digest of the declarations, or of the tag.
-        let last = hello.len() - 1 - usize::from(at % 3 == 0);
+        let last = hello.len() - 1 - usize::from(at.is_multiple_of(3));
         hello[last] ^= 1;
         assert_eq!(ends[1].take(&hello, at), Err(LinkDiscard::OtherKeys));
         let hello = ends[0].knock(at + 5_000 * MS).unwrap();
