@@ -302,6 +302,34 @@ fn a_message_that_waits_expires_at_the_same_instant_by_zones() {
     }
 }
 
+/// A lost heartbeat ends the lease. An arrival that only renews it leads to the same control as its loss, at other times.
+#[test]
+fn a_lease_that_a_loss_ends_ends_by_zones_too() {
+    let text = |lease: u64, faults: &str| {
+        format!(
+            "cell lease;\ntick 1 msec;\nnode left; node right;\nlink left -- right delay 1 msec;\n\
+            task first on left\nport alive(n: int8) usage = response user_list = {{second}} time_out = 20 msec class = 2;\n\
+            var lost: bool;\nbegin\non fence do lost := true; end;\ndelay 60 msec;\nend first;\n\
+            task second on right standby of first\nuse_port alive(n: int8) usage = query;\nbegin\nloop delay 10 msec; end;\n\
+            takeover\ndelay 1 msec;\nend second;\n\
+            couple work first -> second lease {lease} msec takeover 60 msec every 4 msec via alive;\n\
+            {faults}check c: never first.lost;\n"
+        )
+    };
+    let cases = [(12, "", false), (12, "faults loss 1;\n", true), (13, "faults loss 1;\n", false)];
+    for (lease, faults, is_lost) in cases {
+        let mut cell = Text::new(&text(lease, faults));
+        compare(faults, &mut cell, 8 * states()).expect("it is small");
+        let verdicts = cell.check();
+        assert_eq!(
+            verdicts.of(Kind::Check).next().is_some(),
+            is_lost,
+            "{lease} {faults}: {:?}",
+            verdicts.findings
+        );
+    }
+}
+
 #[test]
 fn examples_are_found_the_same_by_zones() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples");
