@@ -248,17 +248,17 @@ mod tests {
     #[test]
     fn a_row_that_spans_a_factor_of_three_is_measured_again_and_in_the_end_not_decided() {
         let near = || Given(vec![Apart::Near]);
-        let (suite, ran) = varies(&[1.0, 3.0, 2.0, 2.0, 2.5, 2.9]);
+        let (suite, ran) = varies(&[4.0, 12.0, 8.0, 8.0, 8.5, 9.0]);
         let results = measure(suite, 3, Effort::FULL, &mut near(), |_, _, _| {});
         let row = &results.rows[0];
         assert_eq!((ran.get(), row.again, row.met(1.0)), (6, 1, Some(true)));
         assert_eq!(
             row.ratio.map(|ratio| (ratio.least, ratio.most)),
-            Some((2.0, 2.9)),
+            Some((8.0, 9.0)),
             "the last rounds alone"
         );
 
-        let (suite, ran) = varies(&[1.0, 3.0, 2.0, 1.0, 2.0, 4.0, 1.0, 1.0, 9.0, 1.0]);
+        let (suite, ran) = varies(&[4.0, 12.0, 8.0, 4.0, 8.0, 16.0, 4.0, 4.0, 36.0, 4.0]);
         let results = measure(suite, 3, Effort::FULL, &mut near(), |_, _, _| {});
         let row = &results.rows[0];
         assert_eq!((ran.get(), row.again), (9, AGAIN));
