@@ -72,7 +72,17 @@ pub struct Ended {
     /// The answer of `imrs replay --model` about all recordings together.
     pub model: Value,
     /// The folder of the run, which is removed with this value.
-    _dir: TempDir,
+    dir: TempDir,
+}
+
+impl Drop for Ended {
+    /// The recordings of a run that failed a check are kept, because the same faults may not come again.
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            eprintln!("the recordings are kept in {}", self.dir.path().display());
+            self.dir.disable_cleanup(true);
+        }
+    }
 }
 
 impl Net {
@@ -219,7 +229,7 @@ impl Net {
                 Some(self.cell()),
             );
         }
-        Ended { said, evidence: evidence(&self.cell, &files), model, _dir: self.dir }
+        Ended { said, evidence: evidence(&self.cell, &files), model, dir: self.dir }
     }
 
     /// Replays all recordings, each by itself.
