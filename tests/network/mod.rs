@@ -64,7 +64,7 @@ fn datagrams_pass_from_host_to_host_as_the_switch_decides() {
 }
 
 /// How many trials run at the same time. Trials mostly wait, so there can be more of them than processors.
-const ABREAST: usize = 6;
+const ABREAST: usize = 4;
 
 /// Runs trials of all scenes that are not done yet, several at a time.
 fn carry_out(scenes: &[&Scene], count: u64, trials: &Trials) {

@@ -3,11 +3,25 @@
 use super::{PATIENCE, Said, signal};
 use rustix::process::Signal;
 use serde_json::Value;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, ErrorKind, Read};
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::thread::{self, JoinHandle};
-use std::time::Instant;
+use std::time::{Duration, Instant};
+
+/// Starts a command. A program that the test has just copied is busy while a process that another test forked meanwhile still has
+/// the copy open for writing, for a moment.
+fn spawned(command: &mut Command) -> Child {
+    for _ in 0..500 {
+        match command.spawn() {
+            Err(error) if error.kind() == ErrorKind::ExecutableFileBusy => {
+                thread::sleep(Duration::from_millis(10));
+            }
+            started => return started.expect("it starts"),
+        }
+    }
+    panic!("the program stays busy");
+}
 
 /// A running command. Dropping this value kills the command.
 pub struct Program {
@@ -20,7 +34,7 @@ pub struct Program {
 
 impl Program {
     pub fn start(mut command: Command) -> Self {
-        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts");
+        let mut child = spawned(command.stdout(Stdio::piped()).stderr(Stdio::piped()));
         let (out, mut err) = (child.stdout.take().expect("a pipe"), child.stderr.take().expect("a pipe"));
         let (sender, lines) = mpsc::channel();
         thread::spawn(move || {
