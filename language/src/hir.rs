@@ -175,11 +175,15 @@ impl Port {
         self.users.iter().find(|user| user.task == task)
     }
 
+    /// The tasks that own or use the port: the owner first, then the users.
+    pub fn parties(&self) -> impl Iterator<Item = TaskId> + '_ {
+        std::iter::once(self.owner).chain(self.users.iter().map(|user| user.task))
+    }
+
     /// The tasks at the other end: the owner for a user, the users for the owner, all other members for a `waitfor`.
     pub fn peers(&self, task: TaskId) -> impl Iterator<Item = TaskId> + '_ {
         let all = self.usage == Usage::Waitfor || task == self.owner;
-        let parties = std::iter::once(self.owner).chain(self.users.iter().map(|user| user.task));
-        parties.filter(move |&peer| peer != task && (all || peer == self.owner))
+        self.parties().filter(move |&peer| peer != task && (all || peer == self.owner))
     }
 
     /// The position of a task among the parties: 0 is the owner, the users follow.

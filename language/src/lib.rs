@@ -50,7 +50,6 @@ mod words;
 pub use compile::{Compiled, Options, compile, compile_with};
 pub use diagnostic::{Diagnostic, Label, Severity};
 pub use format::format;
-pub use load::Load;
 pub use lower::{Lowered, Unit, lower, table_errors};
 pub use parser::{Parsed, parse};
 pub use resolve::{Resolved, resolve};

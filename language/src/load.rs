@@ -3,7 +3,7 @@
 //! A declared `rate` says how often a task sends at most. Without one, the `time_out` is the only hint that a cell gives: an
 //! answer or a message that no task needs after this time is hardly asked for more often. So an estimate by time_outs is no bound.
 
-use crate::checks::senders;
+use crate::checks::starters;
 use crate::hir::{CoupleKind, Duration, Field, Hir, Port, StatementKind};
 use crate::walk;
 use imrs_protocol::{CONTENTS_BYTES, Class, NodeId, PortId, TaskId, Usage};
@@ -14,15 +14,6 @@ pub const WIRE_BYTES: f64 = 138.0;
 const USUAL: f64 = 100e6 / (WIRE_BYTES * 8.0);
 /// A task is advised to move if all links together then carry less by at least this share.
 const WORTH: f64 = 0.1;
-
-/// The load of a cell's links.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Load {
-    /// The load of each link, by its position in [`Hir::links`].
-    pub links: Vec<LinkLoad>,
-    /// The tasks that would cause less traffic on another node, the one that saves most first.
-    pub moves: Vec<Move>,
-}
 
 /// The packets a second on a link, in both directions together.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -68,26 +59,23 @@ struct Flow {
     is_declared: bool,
 }
 
-impl Load {
-    /// Estimates the load of a cell that has no errors.
-    #[must_use]
-    pub fn of(hir: &Hir) -> Self {
-        let flows = flows(hir);
-        let own = |task: TaskId| hir.tasks[task.index()].node;
-        let mut links: Vec<LinkLoad> = hir.links.iter().map(|link| capacity(link.capacity)).collect();
-        for flow in &flows {
-            for link in hir.way(own(flow.from), own(flow.to)) {
-                let sum =
-                    if flow.is_declared { &mut links[link].declared } else { &mut links[link].estimated };
-                *sum += flow.rate;
-            }
+/// Estimates the load of each link of a cell that has no errors, by its position in [`Hir::links`].
+#[must_use]
+pub fn of_links(hir: &Hir) -> Vec<LinkLoad> {
+    let own = |task: TaskId| hir.tasks[task.index()].node;
+    let unused = |capacity: Option<_>| LinkLoad {
+        capacity: capacity.map_or(USUAL, per_second),
+        ..LinkLoad::default()
+    };
+    let mut links: Vec<LinkLoad> = hir.links.iter().map(|link| unused(link.capacity)).collect();
+    for flow in flows(hir) {
+        for link in hir.way(own(flow.from), own(flow.to)) {
+            let load = &mut links[link];
+            let sum = if flow.is_declared { &mut load.declared } else { &mut load.estimated };
+            *sum += flow.rate;
         }
-        Self { links, moves: moves(hir, &flows) }
     }
-}
-
-fn capacity(declared: Option<(u16, Duration)>) -> LinkLoad {
-    LinkLoad { capacity: declared.map_or(USUAL, per_second), ..LinkLoad::default() }
+    links
 }
 
 fn per_second((count, per): (u16, Duration)) -> f64 {
@@ -97,13 +85,7 @@ fn per_second((count, per): (u16, Duration)) -> f64 {
 fn flows(hir: &Hir) -> Vec<Flow> {
     let mut flows = Vec::new();
     for (at, port) in hir.ports.iter().enumerate() {
-        let of: Vec<TaskId> = match port.usage {
-            Usage::Waitfor => {
-                std::iter::once(port.owner).chain(port.users.iter().map(|user| user.task)).collect()
-            }
-            _ => senders(port).collect(),
-        };
-        for from in of {
+        for from in starters(port) {
             let Some((rate, is_declared)) = rate(hir, PortId::from_index(at), port, from) else { continue };
             for to in port.peers(from) {
                 flows.push(Flow { from, to, rate: rate * packets(port), is_declared });
@@ -140,8 +122,11 @@ fn packets(port: &Port) -> f64 {
     }
 }
 
-/// Tries each task without actions on the nodes of the tasks with which it exchanges messages.
-fn moves(hir: &Hir, flows: &[Flow]) -> Vec<Move> {
+/// The tasks that would cause less traffic on another node, the one that saves most first. Each task without actions is tried on the
+/// nodes of the tasks with which it exchanges messages.
+#[must_use]
+pub fn moves(hir: &Hir) -> Vec<Move> {
+    let flows = flows(hir);
     let cost = |moved: Option<(TaskId, NodeId)>| -> f64 {
         let place = |task: TaskId| match moved {
             Some((which, to)) if which == task => to,

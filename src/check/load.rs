@@ -2,8 +2,9 @@
 
 use crate::failure::Failure;
 use crate::output::{BAD, FAINT, NOTE, Output, Styled, grouped};
-use imrs_language::Load;
-use imrs_language::hir::Hir;
+use imrs_language::hir::{self, Hir};
+use imrs_language::load::{self, LinkLoad};
+use imrs_protocol::NodeId;
 use serde::Serialize;
 
 /// The load of a cell's links, in packets a second.
@@ -40,9 +41,8 @@ struct Move {
 impl Shown {
     /// The load of this cell.
     pub fn of(hir: &Hir) -> Self {
-        let load = Load::of(hir);
-        let name = |node: imrs_protocol::NodeId| hir.nodes[node.index()].name.clone();
-        let link = |(link, load): (&imrs_language::hir::Link, &imrs_language::load::LinkLoad)| Link {
+        let name = |node: NodeId| hir.nodes[node.index()].name.clone();
+        let link = |(link, load): (&hir::Link, LinkLoad)| Link {
             a: name(link.a),
             b: name(link.b),
             declared: load.declared,
@@ -50,13 +50,13 @@ impl Shown {
             capacity: load.capacity,
             is_congested: load.is_congested(),
         };
-        let better = |better: &imrs_language::load::Move| {
+        let better = |better: load::Move| {
             let task = &hir.tasks[better.task.index()];
             Move { task: task.name.clone(), from: name(task.node), to: name(better.to), saves: better.saves }
         };
         Self {
-            links: hir.links.iter().zip(&load.links).map(link).collect(),
-            moves: load.moves.iter().map(better).collect(),
+            links: hir.links.iter().zip(load::of_links(hir)).map(link).collect(),
+            moves: load::moves(hir).into_iter().map(better).collect(),
         }
     }
 }
@@ -72,25 +72,17 @@ pub fn table(hir: &Hir, out: &mut Output) -> Result<(), Failure> {
         return out.line("The cell has no links.");
     }
     let names: Vec<String> = load.links.iter().map(|link| format!("{} -- {}", link.a, link.b)).collect();
-    let width = names.iter().map(|name| name.chars().count()).max().unwrap_or(0);
+    let width = names.iter().map(|name| name.chars().count()).max().unwrap_or(0).max(16);
     let head = format!(
         "{:<width$}  {:>9}  {:>13}  {:>8}  {:>6}",
-        "packets a second",
-        "by rates",
-        "by time_outs",
-        "capacity",
-        "used",
-        width = width.max(16)
+        "packets a second", "by rates", "by time_outs", "capacity", "used"
     );
     out.line(Styled(FAINT, head))?;
     for (name, link) in names.iter().zip(&load.links) {
         let used = 100.0 * (link.declared + link.estimated) / link.capacity;
         let used = Styled(if link.is_congested { BAD } else { NOTE }, format!("{used:>4.1} %"));
         let [declared, estimated, capacity] = [link.declared, link.estimated, link.capacity].map(shown);
-        out.line(format!(
-            "{name:<width$}  {declared:>9}  {estimated:>13}  {capacity:>8}  {used}",
-            width = width.max(16)
-        ))?;
+        out.line(format!("{name:<width$}  {declared:>9}  {estimated:>13}  {capacity:>8}  {used}"))?;
     }
     for better in &load.moves {
         out.line(format!(

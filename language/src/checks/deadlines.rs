@@ -62,7 +62,7 @@ pub(crate) fn least(hir: &Hir, id: PortId, of: Option<Duration>) -> u64 {
 /// declares no `resend`, the margin grows with the time_out.
 fn meeting(hir: &Hir, port: &Port) -> u64 {
     let tick = tick(hir);
-    let parties: Vec<TaskId> = std::iter::once(port.owner).chain(port.peers(port.owner)).collect();
+    let parties: Vec<TaskId> = port.parties().collect();
     let way = |a: &TaskId, b: &TaskId| delay(hir, &hir.way(task(hir, *a).node, task(hir, *b).node));
     let farthest =
         parties.iter().flat_map(|a| parties.iter().map(move |b| way(a, b))).max().unwrap_or_default();

@@ -22,10 +22,6 @@ pub(super) fn check(hir: &Hir, paper: bool, found: &mut Vec<Diagnostic>) {
     }
 }
 
-fn members(port: &Port) -> impl Iterator<Item = TaskId> + '_ {
-    std::iter::once(port.owner).chain(port.users.iter().map(|user| user.task))
-}
-
 /// The span that names a member of a `waitfor`: in the `user_list`, or at the owner's port.
 fn named(port: &Port, member: TaskId) -> Span {
     port.user(member).map_or(port.span, |user| user.listed)
@@ -38,11 +34,11 @@ fn comes(hir: &Hir, port: PortId, member: TaskId) -> bool {
 
 fn everybody_comes(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
     let (come, missing): (Vec<TaskId>, Vec<TaskId>) =
-        members(port).partition(|&member| comes(hir, id, member));
+        port.parties().partition(|&member| comes(hir, id, member));
     let Some(&one) = come.first() else { return };
     for member in missing.into_iter().filter(|&member| !is_draft(task(hir, member))) {
         let (name, waits) = (&task(hir, member).name, &task(hir, one).name);
-        let number = members(port).count();
+        let number = port.parties().count();
         let message =
             format!("port `{}` is a {number}-way waitfor, but `{name}` never reaches it", port.name);
         found.push(
@@ -58,7 +54,7 @@ fn everybody_comes(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnosti
 fn on_no_condition(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
     let mut always = Vec::new();
     let mut sometimes = Vec::new();
-    for member in members(port).filter(|&member| !task(hir, member).is_extern) {
+    for member in port.parties().filter(|&member| !task(hir, member).is_extern) {
         let mut places = Vec::new();
         let mut certain = false;
         let is = |kind: &StatementKind| matches!(kind, StatementKind::Waitfor { port: at, .. } if *at == id);

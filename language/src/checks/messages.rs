@@ -33,18 +33,19 @@ pub(crate) fn carries_heartbeats(hir: &Hir, id: PortId) -> bool {
     hir.couples.iter().any(|couple| matches!(couple.kind, CoupleKind::Work { via, .. } if via == id))
 }
 
-fn parties(port: &Port) -> impl Iterator<Item = TaskId> + '_ {
-    std::iter::once(port.owner).chain(port.users.iter().map(|user| user.task))
+pub(super) fn senders(port: &Port) -> impl Iterator<Item = TaskId> + '_ {
+    let sends = |usage| matches!(usage, Some(Usage::Send | Usage::Query | Usage::Reply));
+    port.parties().filter(move |&task| sends(port.usage_of(task)))
 }
 
-pub(crate) fn senders(port: &Port) -> impl Iterator<Item = TaskId> + '_ {
-    let sends = |usage| matches!(usage, Some(Usage::Send | Usage::Query | Usage::Reply));
-    parties(port).filter(move |&task| sends(port.usage_of(task)))
+/// The tasks that use the port by themselves: the senders, or all members of a `waitfor`.
+pub(crate) fn starters(port: &Port) -> Vec<TaskId> {
+    if port.usage == Usage::Waitfor { port.parties().collect() } else { senders(port).collect() }
 }
 
 fn receivers(port: &Port) -> impl Iterator<Item = TaskId> + '_ {
     let receives = |usage| matches!(usage, Some(Usage::Receive | Usage::Response));
-    parties(port).filter(move |&task| receives(port.usage_of(task)))
+    port.parties().filter(move |&task| receives(port.usage_of(task)))
 }
 
 /// The first statement of `from` that sends through the port. If `to` is given, the statement must send to that task.

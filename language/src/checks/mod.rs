@@ -16,7 +16,7 @@ mod unused;
 mod work;
 
 pub(crate) use deadlines::least as least_time_out;
-pub(crate) use messages::{carries_heartbeats, senders};
+pub(crate) use messages::{carries_heartbeats, starters};
 pub(crate) use paper::paper;
 
 use crate::diagnostic::Diagnostic;

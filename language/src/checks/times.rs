@@ -4,7 +4,7 @@ use super::{LEAST_TICKS, time};
 use crate::codes::{LOAD, SHORT_TIME_OUT, SOON};
 use crate::diagnostic::Diagnostic;
 use crate::hir::{Hir, Port};
-use crate::load::{Load, WIRE_BYTES};
+use crate::load::{self, WIRE_BYTES};
 use imrs_protocol::PortId;
 
 /// If a time_out has fewer ticks than this, the lateness of one tick matters.
@@ -44,7 +44,7 @@ fn time_outs(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
 
 /// Compares the traffic on each link with what the link carries. Where a link declares no capacity, only declared rates count.
 fn loads(hir: &Hir, found: &mut Vec<Diagnostic>) {
-    for (link, load) in hir.links.iter().zip(Load::of(hir).links) {
+    for (link, load) in hir.links.iter().zip(load::of_links(hir)) {
         let ends = [link.a, link.b].map(|node| &hir.nodes[node.index()].name);
         let (message, label) = if link.capacity.is_some() && load.is_congested() {
             let message = format!(

@@ -55,14 +55,8 @@ fn uses(hir: &Hir, id: PortId, by: TaskId) -> bool {
 /// Reports a port on which no task sends or waits.
 fn port(hir: &Hir, id: PortId, found: &mut Vec<Diagnostic>) {
     let port = &hir.ports[id.index()];
-    let starts: Vec<TaskId> = match port.usage {
-        Usage::Waitfor => {
-            std::iter::once(port.owner).chain(port.users.iter().map(|user| user.task)).collect()
-        }
-        _ => messages::senders(port).collect(),
-    };
     let used = |&by: &TaskId| is_draft(task(hir, by)) || uses(hir, id, by);
-    if !is_used_by_tasks(hir, id) || starts.iter().any(used) {
+    if !is_used_by_tasks(hir, id) || messages::starters(port).iter().any(used) {
         return;
     }
     let what = if port.usage == Usage::Waitfor { "waits at" } else { "sends on" };

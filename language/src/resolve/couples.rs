@@ -201,9 +201,8 @@ impl<'a> Resolver<'a> {
 
     fn acts_alone(&self, at: usize, couple: [TaskId; 2]) -> bool {
         let port = &self.hir.ports[at];
-        let parties = std::iter::once(port.owner).chain(port.users.iter().map(|user| user.task));
         let mut sends = false;
-        let split = parties.into_iter().all(|task| {
+        let split = port.parties().all(|task| {
             let sender = matches!(port.usage_of(task), Some(Usage::Send | Usage::Query));
             sends |= sender;
             sender == couple.contains(&task)

@@ -2,7 +2,7 @@
 
 use super::whole;
 use crate::support::source;
-use imrs_language::{Load, format};
+use imrs_language::{format, load};
 
 /// Three nodes in a row. `{camera}` is an option of the camera's port, `{link}` one of the first link.
 fn row(camera: &str, link: &str) -> String {
@@ -20,21 +20,21 @@ fn row(camera: &str, link: &str) -> String {
 #[test]
 fn rates_and_time_outs_add_up_on_the_links_of_the_route() {
     // 16 bytes are two packets.
-    let load = Load::of(&whole(&row(" rate = 50/1 sec", "")).hir.expect("a cell"));
-    let sums: Vec<_> = load.links.iter().map(|link| (link.declared, link.estimated)).collect();
+    let links = load::of_links(&whole(&row(" rate = 50/1 sec", "")).hir.expect("a cell"));
+    let sums: Vec<_> = links.iter().map(|link| (link.declared, link.estimated)).collect();
     assert_eq!(sums, [(100.0, 0.0); 2], "on both links of the route, and nothing within a node");
-    assert!(load.links.iter().all(|link| !link.is_congested() && link.capacity > 90_000.0));
+    assert!(links.iter().all(|link| !link.is_congested() && link.capacity > 90_000.0));
     // Without a rate: one message for each time_out of 100 ms.
-    let load = Load::of(&whole(&row("", "")).hir.expect("a cell"));
-    assert_eq!((load.links[1].declared, load.links[1].estimated), (0.0, 20.0));
+    let links = load::of_links(&whole(&row("", "")).hir.expect("a cell"));
+    assert_eq!((links[1].declared, links[1].estimated), (0.0, 20.0));
 }
 
 #[test]
 fn a_task_without_actions_is_advised_to_run_where_the_links_carry_less() {
     let hir = whole(&row(" rate = 50/1 sec", "")).hir.expect("a cell");
-    let load = Load::of(&hir);
+    let moves = load::moves(&hir);
     // The plans are 5 a second with an answer each: 10 packets over two links, in place of 100.
-    let [only] = load.moves[..] else { panic!("{:?}", load.moves) };
+    let [only] = moves[..] else { panic!("{moves:?}") };
     assert_eq!(
         (hir.tasks[only.task.index()].name.as_str(), hir.nodes[only.to.index()].name.as_str()),
         ("planner", "n1")
@@ -43,7 +43,7 @@ fn a_task_without_actions_is_advised_to_run_where_the_links_carry_less() {
     // Where the plans are the greater part, the planner stays.
     let stays =
         row("", "").replace("time_out = 200 msec class = 2", "rate = 40/1 sec time_out = 200 msec class = 2");
-    assert!(Load::of(&whole(&stays).hir.expect("a cell")).moves.is_empty());
+    assert!(load::moves(&whole(&stays).hir.expect("a cell")).is_empty());
 }
 
 #[test]
