@@ -4,7 +4,7 @@ use crate::args::{Format, SummaryArgs};
 use crate::cell_file::shown;
 use crate::exit::Exit;
 use crate::failure::Failure;
-use crate::output::{Output, complain};
+use crate::output::Output;
 use crate::run::report;
 use imrs_launch::{Report, Verdict, cells, join};
 use imrs_wire::files;
@@ -30,7 +30,6 @@ pub fn run(args: &SummaryArgs, out: &mut Output) -> Result<Exit, Failure> {
         Format::Json => out.json(&summary)?,
         Format::Text => report::summary(&summary, &loaded.table, None, out)?,
     }
-    trouble.iter().for_each(|trouble| complain(&trouble.what));
-    summary.incomplete.iter().for_each(|missing| complain(format_args!("incomplete: {missing}")));
+    report::complain_of(&trouble, &summary);
     Ok(Verdict::of(&summary, &trouble).into())
 }

@@ -3,7 +3,6 @@
 use crate::checks::Judge;
 use crate::fact::{Fact, Fold};
 use crate::faults::Fault;
-use crate::folds::attendance::Attendance;
 use crate::folds::gatherer::Gatherer;
 use crate::folds::standing::Standing;
 use crate::folds::story::Events;
@@ -19,8 +18,6 @@ use std::sync::Arc;
 pub struct EventLog<'a> {
     /// Collects the counts for the run's summary.
     pub gatherer: Gatherer,
-    /// Collects the rounds in which tasks took part.
-    pub attendance: Attendance,
     /// Judges the checks of the cell.
     pub judge: Judge<'a>,
     /// The tasks that still run.
@@ -43,7 +40,6 @@ impl<'a> EventLog<'a> {
         let (loaded, table) = (run.loaded, &run.loaded.table);
         Self {
             gatherer: Gatherer::new(Arc::clone(table), here.clone()),
-            attendance: Attendance::new(table, &here),
             judge: Judge::new(loaded, &here),
             standing: Standing::new(loaded, here),
             trouble: TaskTrouble::new(Arc::clone(table), run.is_explained, run.loss > 0.0),
@@ -62,13 +58,8 @@ impl<'a> EventLog<'a> {
             Fact::Over => self.is_over = true,
             _ => {}
         }
-        let always: [&mut dyn Fold; 5] = [
-            &mut self.gatherer,
-            &mut self.attendance,
-            &mut self.judge,
-            &mut self.standing,
-            &mut self.trouble,
-        ];
+        let always: [&mut dyn Fold; 4] =
+            [&mut self.gatherer, &mut self.judge, &mut self.standing, &mut self.trouble];
         always.into_iter().for_each(|fold| fold.take(at, fact));
         if let Some(timeline) = &mut self.timeline {
             timeline.take(at, fact);

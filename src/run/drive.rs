@@ -71,12 +71,7 @@ pub fn run(
         .map_or(Ok(()), |path| kept::keep_text(path, args.force, &ended.report.text(run.loaded)));
     let interrupted = interrupts.count();
     let untaken = out.settle(READ_WITHIN, || interrupts.count() > interrupted);
-    for trouble in &ended.trouble {
-        complain(&trouble.what);
-    }
-    for missing in &summary.incomplete {
-        complain(format_args!("incomplete: {missing}"));
-    }
+    report::complain_of(&ended.report.trouble, summary);
     let exit = Exit::from(ended.verdict());
     let is_written = told(&untaken);
     followed.and(shown)?;

@@ -5,8 +5,8 @@ use crate::args::LaunchArgs;
 use crate::checks;
 use crate::failure::Failure;
 use crate::faults::Restart;
-use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped, span};
-use imrs_launch::{Keys, NodeSummary, RendezvousSummary, Run, StartedNode, Summary, link_warnings};
+use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, complain, count, grouped, span};
+use imrs_launch::{Keys, NodeSummary, RendezvousSummary, Run, StartedNode, Summary, Trouble, link_warnings};
 use imrs_protocol::{CellTable, Usage};
 use imrs_wire::obs::LinkSummary;
 use std::collections::BTreeMap;
@@ -145,6 +145,12 @@ pub fn summary(
         Some(false) => out.line(format!("  {}", Styled(BAD, "NOT as promised."))),
         None => out.line(format!("  {}", Styled(NOTE, "Not put to the test in this run."))),
     }
+}
+
+/// Complains about the problems of a run, and about what could not be observed.
+pub fn complain_of(trouble: &[Trouble], summary: &Summary) {
+    trouble.iter().for_each(|trouble| complain(&trouble.what));
+    summary.incomplete.iter().for_each(|missing| complain(format_args!("incomplete: {missing}")));
 }
 
 /// Wraps a sentence or two for a narrow terminal.

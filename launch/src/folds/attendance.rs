@@ -4,8 +4,7 @@
 use super::rounds::{Rounds, Wide};
 use super::settled::falsely;
 use super::spans::Spans;
-use crate::fact::{Fact, Fold};
-use crate::pipe::{Event, What, Word};
+use crate::pipe::{Event, What};
 use imrs_protocol::{CellTable, NodeId, Port, PortId, TaskId, Usage};
 use serde::{Deserialize, Serialize};
 
@@ -17,7 +16,7 @@ const WRAP: i64 = 1 << 16;
 const MOST_WRAPS: i64 = 400;
 
 /// The rounds of a waitfor in which a member took part.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Attended {
     /// The waitfor's port.
     pub port: PortId,
@@ -36,29 +35,28 @@ pub struct Attended {
 }
 
 impl Attended {
-    fn sets(&mut self) -> [&mut Spans; 3] {
-        [&mut self.announced, &mut self.released, &mut self.gave_up]
+    const fn sets(&self) -> [&Spans; 3] {
+        [&self.announced, &self.released, &self.gave_up]
     }
 
     fn add(&mut self, round: i64, what: What) {
-        let [announced, released, gave_up] = self.sets();
         match what {
-            What::Announced => announced.add(round),
-            What::Released => released.add(round),
-            What::GaveUp { .. } => gave_up.add(round),
+            What::Announced => self.announced.add(round),
+            What::Released => self.released.add(round),
+            What::GaveUp { .. } => self.gave_up.add(round),
         }
         let full = self.sets().into_iter().find(|set| set.pieces() > RANGES);
-        if let Some(upto) = full.and_then(|set| set.end_of_the_oldest()) {
-            self.sets().into_iter().for_each(|set| set.forget(upto));
+        if let Some(upto) = full.and_then(Spans::end_of_the_oldest) {
+            let sets = [&mut self.announced, &mut self.released, &mut self.gave_up];
+            sets.into_iter().for_each(|set| set.forget(upto));
             self.forgotten = Some(upto);
         }
     }
 
     /// The first and the last round of which this report tells.
     fn told(&self) -> Option<(i64, i64)> {
-        let sets = [&self.announced, &self.released, &self.gave_up];
-        let (first, last) =
-            sets.into_iter().filter_map(Spans::ends).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
+        let ends = self.sets().into_iter().filter_map(Spans::ends);
+        let (first, last) = ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
         Some((self.forgotten.map_or(first, |forgotten| first.max(forgotten + 1)), last))
     }
 
@@ -70,29 +68,14 @@ impl Attended {
             (most(from.saturating_sub(last))..=most(to.saturating_sub(first))).max_by_key(common)
         });
         let by = wraps.unwrap_or(0) * WRAP;
-        let [announced, released, gave_up] =
-            [&self.announced, &self.released, &self.gave_up].map(|set| set.shifted(by));
+        let [announced, released, gave_up] = self.sets().map(|set| set.shifted(by));
         let forgotten = self.forgotten.map(|round| round + by);
         Self { announced, released, gave_up, forgotten, ..*self }
     }
 }
 
 /// Collects the rounds in which the members took part that report to this launcher.
-pub struct Attendance {
-    members: Vec<(Attended, Wide)>,
-    /// The end of the run: later events do not count, because tasks leave their waitfors when they are stopped.
-    end: u64,
-}
-
-impl Fold for Attendance {
-    fn take(&mut self, at: u64, fact: &Fact) {
-        match fact {
-            Fact::Said(_, Word::Event(event)) if event.at <= self.end => self.event(event),
-            Fact::Over => self.end = at,
-            _ => {}
-        }
-    }
-}
+pub struct Attendance(Vec<(Attended, Wide)>);
 
 impl Attendance {
     /// Makes the empty sets for the tasks on these nodes.
@@ -102,18 +85,13 @@ impl Attendance {
             let (port, parties) = (port.id, port.parties.iter().map(|party| party.task));
             parties.filter(|task| is_here(*task)).map(move |task| (port, task)).collect::<Vec<_>>()
         };
-        let empty = |(port, task)| {
-            let [announced, released, gave_up] = std::array::from_fn(|_| Spans::default());
-            (
-                Attended { port, task, announced, released, gave_up, forgotten: None, is_partial: false },
-                Wide::default(),
-            )
-        };
-        Self { members: waitfors(table).flat_map(of).map(empty).collect(), end: u64::MAX }
+        let empty = |(port, task)| (Attended { port, task, ..Attended::default() }, Wide::default());
+        Self(waitfors(table).flat_map(of).map(empty).collect())
     }
 
-    fn event(&mut self, event: &Event) {
-        let mut members = self.members.iter_mut();
+    /// Takes an event of a member. The events of one member must come in order of time.
+    pub fn take(&mut self, event: &Event) {
+        let mut members = self.0.iter_mut();
         let is_it = |(of, _): &&mut (Attended, Wide)| of.port == event.port && of.task == event.task;
         if let Some((attended, last)) = members.find(is_it) {
             attended.add(last.count_on(event.round), event.what);
@@ -121,8 +99,8 @@ impl Attendance {
     }
 
     /// The rounds of each member. `is_partial`: events of nodes are missing.
-    pub fn told(self, is_partial: bool) -> Vec<Attended> {
-        self.members.into_iter().map(|(attended, _)| Attended { is_partial, ..attended }).collect()
+    pub fn told(&self, is_partial: bool) -> Vec<Attended> {
+        self.0.iter().map(|(attended, _)| Attended { is_partial, ..attended.clone() }).collect()
     }
 }
 
@@ -160,8 +138,7 @@ pub fn outcomes(members: &[TaskId], reports: &[&Attended]) -> Rounds {
 
 /// The rounds from which on a set of this report has other members, or the report tells of the rounds.
 fn turns_of(report: &Attended) -> Vec<i64> {
-    let sets = [&report.announced, &report.released, &report.gave_up];
-    let ranges = sets.into_iter().flat_map(Spans::ranges).chain(report.told());
+    let ranges = report.sets().into_iter().flat_map(Spans::ranges).chain(report.told());
     // The last round of a report is different from those before it: the member went on to no other.
     ranges.flat_map(|(first, last)| [first, last, last + 1]).collect()
 }

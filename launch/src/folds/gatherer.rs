@@ -1,6 +1,6 @@
 //! Gathers the summary of a run from its facts.
 
-use super::attendance::waitfors;
+use super::attendance::{Attendance, waitfors};
 use super::links::Alarm;
 use super::report::{AfterKill, NodeReport, Report, TaskSummary};
 use super::summary::RendezvousSummary;
@@ -17,6 +17,8 @@ use std::sync::Arc;
 pub struct Gatherer {
     table: Arc<CellTable>,
     tallies: BTreeMap<PortId, Tally>,
+    /// The rounds in which each task took part, for the summary of all machines.
+    attendance: Attendance,
     /// For each node, the counters of its incarnations.
     figures: Vec<Vec<Figures>>,
     /// For each node, whether too many datagrams came that no node of the cell sent.
@@ -64,6 +66,7 @@ impl Gatherer {
         let figures = table.cell().nodes.iter().map(|_| vec![Figures::default()]).collect();
         let alarms = vec![Alarm::default(); table.cell().nodes.len()];
         Self {
+            attendance: Attendance::new(&table, &here),
             table,
             tallies,
             figures,
@@ -85,6 +88,7 @@ impl Gatherer {
         if let Some(tally) = self.tallies.get_mut(&event.port) {
             tally.take(event);
         }
+        self.attendance.take(event);
         if let What::GaveUp { waited, missing } = event.what {
             self.note_give_up(event, waited, missing);
         }
@@ -142,6 +146,7 @@ impl Gatherer {
             nodes: exits.iter().map(node).collect(),
             tasks: self.ended.clone(),
             after_kill: self.after_kill.clone(),
+            attended: self.attendance.told(self.is_partial()),
             incomplete: self.untold().chain(self.cut_short()).chain(self.unrecorded()).collect(),
             ..Report::default()
         }
@@ -160,7 +165,7 @@ impl Gatherer {
     }
 
     /// Whether events of nodes are missing.
-    pub fn is_partial(&self) -> bool {
+    fn is_partial(&self) -> bool {
         !self.unheard.is_empty() || self.figures.iter().flatten().any(|figures| figures.untold > 0)
     }
 

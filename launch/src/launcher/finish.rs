@@ -23,8 +23,6 @@ pub struct Ended<'a> {
     loaded: &'a Loaded,
     /// The run's summary.
     pub summary: Summary,
-    /// The problems of the run that are not in its summary.
-    pub trouble: Vec<Trouble>,
     /// What this launcher reports, for the summary of all machines.
     pub report: Report,
     events: Option<Events>,
@@ -55,7 +53,7 @@ impl Ended<'_> {
     /// The verdict on the run.
     #[must_use]
     pub fn verdict(&self) -> Verdict {
-        Verdict::of(&self.summary, &self.trouble)
+        Verdict::of(&self.summary, &self.report.trouble)
     }
 }
 
@@ -103,7 +101,6 @@ impl<'a> Launcher<'a> {
             let words = "changes that checks look at came faster than they could be judged";
             report.incomplete.push(words.into());
         }
-        report.attended = log.attendance.told(log.gatherer.is_partial());
         let summary =
             Summary::of(&run.loaded.table, std::slice::from_ref(&report), log.gatherer.rendezvous());
         let mut trouble = log.trouble.found();
@@ -117,8 +114,8 @@ impl<'a> Launcher<'a> {
             .flat_map(|node| node.refusals.iter().map(|refusal| refusal.words(&node.name)));
         let outside = refusals.chain(summary.checks.complaints());
         trouble.extend(outside.map(|what| Trouble { at_fault: false, what }));
-        report.trouble.clone_from(&trouble);
-        Ended { loaded: run.loaded, summary, trouble, report, events: log.events }
+        report.trouble = trouble;
+        Ended { loaded: run.loaded, summary, report, events: log.events }
     }
 
     /// Stops the nodes. Returns how each node ended.
@@ -174,8 +171,7 @@ mod tests {
         let ended = |gatherer: &Gatherer, trouble: &[Trouble]| Ended {
             loaded: &loaded,
             summary: gatherer.summary((1.0, 7, 0.0), &[]),
-            trouble: trouble.to_vec(),
-            report: Report::default(),
+            report: Report { trouble: trouble.to_vec(), ..Report::default() },
             events: None,
         };
         assert_eq!(ended(&gatherer, &[]).verdict(), Verdict::Well);

@@ -9,10 +9,7 @@ const GAVE_UP: What = What::GaveUp { waited: 200, missing: 1 };
 
 /// The report of a task from its events, each with its round.
 fn report(task: u16, events: &[(i64, What)]) -> Attended {
-    let [announced, released, gave_up] = std::array::from_fn(|_| Spans::default());
-    let task = TaskId(task);
-    let mut report =
-        Attended { port: PORT, task, announced, released, gave_up, forgotten: None, is_partial: false };
+    let mut report = Attended { port: PORT, task: TaskId(task), ..Attended::default() };
     events.iter().for_each(|&(round, what)| report.add(round, what));
     report
 }

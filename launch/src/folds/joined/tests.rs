@@ -3,7 +3,6 @@
 use super::*;
 use crate::cells::tests::beam_lift;
 use crate::fact::{Fact, Fold};
-use crate::folds::attendance::Attendance;
 use crate::folds::gatherer::Gatherer;
 use crate::launcher::Verdict;
 use crate::pipe::{Event, Figures, What, Word};
@@ -16,11 +15,7 @@ fn machine(node: u16, rounds: u16) -> Report {
     let loaded = beam_lift();
     let (id, task) = (NodeId(node), TaskId(node));
     let mut gatherer = Gatherer::new(Arc::clone(&loaded.table), vec![id]);
-    let mut attendance = Attendance::new(&loaded.table, &[id]);
-    let mut take = |fact: Fact| {
-        gatherer.take(1, &fact);
-        attendance.take(1, &fact);
-    };
+    let mut take = |fact: Fact| gatherer.take(1, &fact);
     for round in 1..=rounds {
         for what in [What::Announced, What::Released] {
             let event = Event { at: 1, task, port: PortId(0), round: Round(round), what };
@@ -30,8 +25,7 @@ fn machine(node: u16, rounds: u16) -> Report {
     let sent = PortCounters { sent: rounds.into(), ..PortCounters::default() };
     let figures = Figures { ports: vec![(task, PortId(0), sent)], ..Figures::default() };
     take(Fact::Said(id, Word::Figures(Box::new(figures))));
-    let report = gatherer.report((f64::from(rounds), 7, 0.0), &[(id, "clean".into())]);
-    Report { attended: attendance.told(false), ..report }
+    gatherer.report((f64::from(rounds), 7, 0.0), &[(id, "clean".into())])
 }
 
 /// The reports as they are after they were written to files and read again.
