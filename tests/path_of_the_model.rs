@@ -2,6 +2,7 @@
 //! machine makes them: lateness is reported, but no true run is called impossible.
 
 mod recorded;
+mod stopped;
 mod unsent;
 
 use crate::support::program::{all_of, one_after_the_other, times};

@@ -337,7 +337,7 @@ fn judge(loaded: &Loaded, recorded: &Recorded) -> Settlement {
 }
 
 /// Ends the recorded run before any node receives a packet by which a stopping node withdraws its tasks from their
-/// waits, because the model has no such packets.
+/// waits, and before a task learns that the node whose answer it may wait for has stopped, because the model has neither.
 fn end_where_nodes_stop(tasks: &mut [Vec<Happening>]) {
     let mut taken_back = Vec::new();
     for task in tasks.iter() {
@@ -348,8 +348,12 @@ fn end_where_nodes_stop(tasks: &mut [Vec<Happening>]) {
             _ => None,
         }));
     }
-    let heard = |happening: &&Happening| matches!(&happening.what, Happened::Came(packet) if taken_back.contains(&named(packet)));
-    let end = tasks.iter().flatten().filter(heard).map(|happening| happening.at).min();
+    let shows_an_end = |happening: &&Happening| match &happening.what {
+        Happened::Came(packet) => taken_back.contains(&named(packet)),
+        Happened::PeerStopped(_) => true,
+        _ => false,
+    };
+    let end = tasks.iter().flatten().filter(shows_an_end).map(|happening| happening.at).min();
     if let Some(end) = end {
         tasks.iter_mut().for_each(|task| task.retain(|happening| happening.at < end));
     }

@@ -158,8 +158,7 @@ impl<'t> Replay<'t> {
             Input::Packet(packet) => heard.note(Happened::Came(packet)),
             Input::PeerRestarted(node) => heard.note(Happened::PeerRestarted(node)),
             Input::PeerStopped(node) => heard.note(match machine.view(self.table, 0).state {
-                // The answer for which the task waits will not come, as after a restart of that node.
-                TaskState::AwaitingReply { .. } => Happened::PeerRestarted(node),
+                TaskState::AwaitingReply { .. } => Happened::PeerStopped(node),
                 _ => Happened::Time,
             }),
             Input::Unsent(id) => heard.note(Happened::Unsent(id)),

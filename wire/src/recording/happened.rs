@@ -28,6 +28,8 @@ pub enum Happened {
     Time,
     /// Another node has a new incarnation.
     PeerRestarted(NodeId),
+    /// Another node stopped in order while the task waited for an answer, perhaps from it.
+    PeerStopped(NodeId),
     /// A packet of a command of the task never left its node, because no link took it in time.
     Unsent(MessageId),
     /// The action of one of the task's threads ended: the thread, whether the action succeeded, and its result.

@@ -154,8 +154,10 @@ fn groups(run_state: &RunState, run: &Run, task: usize) -> Vec<Group> {
             }
         }
     }
-    // The model does not follow incarnations: the input that a peer has restarted counts as passing time.
-    let idle = |group: &Group| matches!(group.cause, Happened::Time | Happened::PeerRestarted(_));
+    // The model does not follow incarnations: the input that a peer has restarted or stopped counts as passing time.
+    let idle = |group: &Group| {
+        matches!(group.cause, Happened::Time | Happened::PeerRestarted(_) | Happened::PeerStopped(_))
+    };
     groups.retain(|group| !idle(group) || !group.sent.is_empty() || !group.turns.is_empty());
     groups
 }
@@ -264,7 +266,7 @@ impl Follower {
                 self.run_state.cell.leave(task, ScriptInput::Begin);
                 self.made(node)?;
             }
-            Happened::Time | Happened::PeerRestarted(_) => {
+            Happened::Time | Happened::PeerRestarted(_) | Happened::PeerStopped(_) => {
                 self.let_time_show(task, node, (now, counted), group)?;
             }
             Happened::Unsent(id) => self.unsent(task, node, id)?,
