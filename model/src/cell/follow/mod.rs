@@ -148,16 +148,14 @@ fn groups(run_state: &RunState, run: &Run, task: usize) -> Vec<Group> {
                     group.turns.push(turn.clone());
                 }
             }
-            Happened::Stopped => break,
+            Happened::Stopped | Happened::PeerStopped(_) => break,
             cause => {
                 groups.push(Group { at: *at, cause: cause.clone(), sent: Vec::new(), turns: Vec::new() });
             }
         }
     }
-    // The model does not follow incarnations: the input that a peer has restarted or stopped counts as passing time.
-    let idle = |group: &Group| {
-        matches!(group.cause, Happened::Time | Happened::PeerRestarted(_) | Happened::PeerStopped(_))
-    };
+    // The model does not follow incarnations: the input that a peer has restarted counts as passing time.
+    let idle = |group: &Group| matches!(group.cause, Happened::Time | Happened::PeerRestarted(_));
     groups.retain(|group| !idle(group) || !group.sent.is_empty() || !group.turns.is_empty());
     groups
 }
@@ -266,7 +264,7 @@ impl Follower {
                 self.run_state.cell.leave(task, ScriptInput::Begin);
                 self.made(node)?;
             }
-            Happened::Time | Happened::PeerRestarted(_) | Happened::PeerStopped(_) => {
+            Happened::Time | Happened::PeerRestarted(_) => {
                 self.let_time_show(task, node, (now, counted), group)?;
             }
             Happened::Unsent(id) => self.unsent(task, node, id)?,
@@ -283,7 +281,7 @@ impl Follower {
                 self.run_state.cell.leave(task, ScriptInput::Chosen(choice));
                 self.made(node)?;
             }
-            Happened::Sent(_) | Happened::Turn(_) | Happened::Stopped => {}
+            Happened::Sent(_) | Happened::Turn(_) | Happened::Stopped | Happened::PeerStopped(_) => {}
         }
         group.turns.iter().try_for_each(|turn| self.expect(task, turn))?;
         for packet in &group.sent {
