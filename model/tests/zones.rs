@@ -330,6 +330,29 @@ fn a_lease_that_a_loss_ends_ends_by_zones_too() {
     }
 }
 
+/// After a restart a script is held back for its time_out and the delay of its link, 7 ticks. Its question then takes one more. Both searches
+/// share the code that holds a script back, so the two times are stated here.
+#[test]
+fn a_script_that_is_held_back_begins_on_time() {
+    let text = |until: u64| {
+        format!(
+            "cell again;\ntick 10 msec;\nnode na; node nb;\nlink na -- nb delay 10 msec;\n\
+            task a on na\nuse_port up(n: int8) -> int8 usage = response;\nvar starts: int8; var over: bool;\nbegin\n\
+            order up > self;\non query up(n) do starts := starts + 1; response(n); end;\n\
+            delay {until} msec; over := true;\nloop delay 1 sec; end;\nend a;\n\
+            task b on nb\nport up(n: int8) -> int8 usage = query user_list = {{a}} time_out = 60 msec class = 2;\n\
+            var n: int8;\nbegin\nquery up(1) -> n on time_out do skip; end;\nend b;\n\
+            faults crash nb;\ncheck once: never a.starts > 1 and not a.over;\n"
+        )
+    };
+    for (until, has_come) in [(70, false), (80, true)] {
+        let mut cell = Text::new(&text(until));
+        compare("again", &mut cell, states()).expect("it is small");
+        let verdicts = cell.check();
+        assert_eq!(verdicts.of(Kind::Check).next().is_some(), has_come, "{until}: {:?}", verdicts.findings);
+    }
+}
+
 #[test]
 fn examples_are_found_the_same_by_zones() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples");
