@@ -2,7 +2,8 @@
 
 use crate::run::{Bench, port};
 use crate::support::program::Program;
-use crate::support::{imrs, number, own_address, run_in, signal};
+use crate::support::tape::Tape;
+use crate::support::{imrs, look_until, number, own_address, run_in, signal};
 use rustix::process::Signal;
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
@@ -279,7 +280,7 @@ fn nodes_of_two_cell_files_say_so_on_both_sides() {
     }
 }
 
-/// Two nodes with `--insecure` meet, and report that they have no keys. The header of a recording says so, too.
+/// Two nodes with `--insecure` meet, and report that they have no keys. The headers of all recordings say so, too.
 #[test]
 fn nodes_without_keys_run_only_if_asked_to_and_say_so_everywhere() {
     let bench = Bench::that_waits(8);
@@ -292,6 +293,10 @@ fn nodes_without_keys_run_only_if_asked_to_and_say_so_everywhere() {
     };
     let (b, a) = (start("nb"), start("na"));
     let a = a.finish();
+    let seen = bench.0.path().join("seen.imrs");
+    let monitor = ["monitor", "--record", seen.to_str().expect("UTF-8"), "--for", "100ms", "--force"];
+    look_until(bench.0.path(), &monitor, "a monitor records", |said| said.code == Some(0));
+    assert!(Tape::read(&seen).header.insecure);
     b.interrupt();
     let b = b.finish();
     assert_eq!(a.code, Some(0), "{a:?} {b:?}");

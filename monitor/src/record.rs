@@ -7,6 +7,7 @@ use imrs_wire::files;
 use imrs_wire::obs::{Hello, NodeIdentity, Role, SCHEMA, ServerFrame, VERSION};
 use imrs_wire::recording::{FrameStream, Header, Recording, Shown, Status};
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -27,7 +28,18 @@ pub struct Tape {
 #[derive(Default)]
 struct Inner {
     known: BTreeMap<SourceId, Known>,
+    asked: Option<Asked>,
     running: Option<Running>,
+    /// A recording that could not begin, with the reason.
+    failed: Option<(PathBuf, String)>,
+}
+
+/// A recording that has a file and waits for its header: only the first state of a node says whether it runs without keys.
+/// The nodes of a cell either all have keys or all have none, so the first one decides.
+struct Asked {
+    path: PathBuf,
+    file: File,
+    began: Moment,
 }
 
 /// What is known of a source: the identity of its node, and the names of its cell.
@@ -35,8 +47,8 @@ struct Known {
     identity: NodeIdentity,
     attached: Vec<u8>,
     table: Option<Vec<u8>>,
-    /// Whether the node said in its last snapshot that it runs without keys.
-    insecure: bool,
+    /// Whether the node runs without keys, once it has said so.
+    insecure: Option<bool>,
 }
 
 struct Running {
@@ -119,13 +131,14 @@ impl Tape {
                 let hello = Hello { schema: SCHEMA, pid: *pid, build: build.clone(), mono_us: 0, role };
                 let attached = Shown::Attached { version: VERSION, hello }.encode();
                 let (identity, attached_bytes) = (identity.clone(), attached.clone());
-                let known = Known { identity, attached: attached_bytes, table: None, insecure: false };
+                let known = Known { identity, attached: attached_bytes, table: None, insecure: None };
                 inner.known.insert(*source, known);
                 attached
             }
             Feed::Frame(frame) => {
                 if let (Some(insecure), Some(known)) = (says_insecure(frame), inner.known.get_mut(source)) {
-                    known.insecure = insecure;
+                    known.insecure = Some(insecure);
+                    inner.begin(*at);
                 }
                 let is_table = matches!(**frame, ServerFrame::Table(_));
                 let follows = inner.running.as_mut().is_some_and(|running| running.follows(*source, frame));
@@ -151,7 +164,8 @@ impl Tape {
         }
     }
 
-    /// Starts a recording in a new file, which only the file's owner can read.
+    /// Starts a recording in a new file, which only the file's owner can read. The file stays empty until a node has sent
+    /// its state.
     ///
     /// # Errors
     /// [`MonitorError::Recording`], also if the file exists.
@@ -159,44 +173,62 @@ impl Tape {
         let failed = |why: String| MonitorError::Recording { path: path.to_owned(), why };
         let mut inner = self.inner();
         let file = files::create(path).map_err(|error| failed(error.to_string()))?;
-        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        let first = inner.known.values().next().map(|known| &known.identity);
-        let header = Header {
-            cell: first.map_or_else(String::new, |first| first.cell.clone()),
-            digest: first.map_or(0, |first| first.digest),
-            build: concat!("imrs-monitor ", env!("CARGO_PKG_VERSION")).into(),
-            insecure: inner.known.values().any(|known| known.insecure),
-            began: u64::try_from(since.as_micros()).unwrap_or(0),
-            ..Header::default()
-        };
-        let recording =
-            Recording::start(file, &header, ROOM, |_| {}).map_err(|error| failed(error.to_string()))?;
-        let mut running = Running {
-            path: path.to_owned(),
-            recording,
-            streams: BTreeMap::new(),
-            began: now,
-            whole: BTreeSet::new(),
-        };
-        for (&source, known) in &inner.known {
-            running.put(now, source, known.attached.clone());
-            if let Some(table) = &known.table {
-                running.put(now, source, table.clone());
-            }
+        inner.asked = Some(Asked { path: path.to_owned(), file, began: now });
+        if inner.known.values().any(|known| known.insecure.is_some()) {
+            inner.begin(now);
         }
-        inner.running = Some(running);
+        inner.failed.take().map_or(Ok(()), |(_, why)| Err(failed(why)))?;
         self.wishes.want_whole();
         Ok(())
     }
 
     /// Ends the recording, if one runs.
     pub fn stop(&self) -> Option<Recorded> {
-        let running = self.inner().running.take()?;
+        let mut inner = self.inner();
+        if let Some(Asked { began, .. }) = inner.asked {
+            inner.begin(began);
+        }
+        if let Some((path, why)) = inner.failed.take() {
+            return Some(Recorded { path, status: Status { failure: Some(why), ..Status::default() } });
+        }
+        let running = inner.running.take()?;
         Some(Recorded { path: running.path, status: running.recording.stop(PATIENCE) })
     }
 
     fn inner(&self) -> MutexGuard<'_, Inner> {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Inner {
+    /// Begins the recording that was asked for, if any, with what is known of the nodes.
+    fn begin(&mut self, at: Moment) {
+        let Some(Asked { path, file, began }) = self.asked.take() else { return };
+        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let first = self.known.values().next().map(|known| &known.identity);
+        let header = Header {
+            cell: first.map_or_else(String::new, |first| first.cell.clone()),
+            digest: first.map_or(0, |first| first.digest),
+            build: concat!("imrs-monitor ", env!("CARGO_PKG_VERSION")).into(),
+            insecure: self.known.values().any(|known| known.insecure == Some(true)),
+            began: u64::try_from(since.as_micros()).unwrap_or(0),
+            ..Header::default()
+        };
+        let recording = match Recording::start(file, &header, ROOM, |_| {}) {
+            Ok(recording) => recording,
+            Err(error) => {
+                self.failed = Some((path, error.to_string()));
+                return;
+            }
+        };
+        let (streams, whole) = (BTreeMap::new(), BTreeSet::new());
+        let mut running = Running { path, recording, streams, began, whole };
+        for (&source, known) in &self.known {
+            for frame in [Some(&known.attached), known.table.as_ref()].into_iter().flatten() {
+                running.put(at, source, frame.clone());
+            }
+        }
+        self.running = Some(running);
     }
 }
 

@@ -2,23 +2,22 @@
 
 mod assertions;
 mod links;
+mod text;
 
 pub use assertions::{json_of_assertions, text_of_assertions};
+pub use text::text;
 
-use crate::clock::{Moment, Span};
-use crate::name::{Name, shown_line};
+use crate::clock::Moment;
+use crate::name::Name;
 use crate::replay::tell::Position;
 use crate::replay::{Player, tell};
 use crate::store::conformance::{Verdict, conformance};
-use crate::store::health::{Finding, findings, held_back_words};
+use crate::store::health::{Finding, findings};
 use crate::store::journal::Severity;
-use crate::store::meeting::{Meeting, Standing, meetings, state};
-use crate::store::{NodeIncarnation, Store, Unseen, unseen};
-use imrs_protocol::{Class, MeetingState, MeetingView, PortView, TaskState, Usage};
+use crate::store::{NodeIncarnation, Store, unseen};
+use imrs_protocol::{Class, MeetingState, MeetingView, PortView, TaskState};
 use imrs_wire::obs::{Count, LinkSummary, Liveness, RealTime, TaskSnapshot};
-use imrs_wire::text;
 use serde::Serialize;
-use std::fmt::Write as _;
 
 /// The version of the JSON format. Later releases may add fields, but never change or remove any.
 const VERSION: u32 = 1;
@@ -188,7 +187,7 @@ fn whole(store: &Store, only: Option<&str>, now: Moment, replay: Option<Position
         report.nodes.extend(unseen.iter().map(|one| not_seen(cell, &one.name, one.is_killed)));
         report.findings.extend(findings(store, cell, now).iter().map(|f| found(store, cell, f)));
     }
-    text::json(&serde_json::to_string(&report).expect("a report is plain data")).into_owned()
+    imrs_wire::text::json(&serde_json::to_string(&report).expect("a report is plain data")).into_owned()
 }
 
 fn node<'a>(store: &Store, incarnation: &'a NodeIncarnation, now: Moment) -> Node<'a> {
@@ -368,109 +367,4 @@ fn found(store: &Store, cell: &Name, finding: &Finding) -> Found {
 /// One node at a moment, in the format of [`json`].
 pub(crate) fn node_value(store: &Store, incarnation: &NodeIncarnation, now: Moment) -> serde_json::Value {
     serde_json::to_value(node(store, incarnation, now)).unwrap_or_default()
-}
-
-/// The selected cells as text, one fact per line.
-#[must_use]
-pub fn text(store: &Store, only: Option<&str>, now: Moment) -> String {
-    let mut out = String::new();
-    for cell in cells(store, only) {
-        let _ = writeln!(out, "cell {cell}");
-        for incarnation in store.incarnations_of(&cell) {
-            text_node(incarnation, now, &mut out);
-        }
-        for Unseen { name, is_killed, .. } in unseen(store, &cell) {
-            let _ = writeln!(out, "  node {name}: {}", if is_killed { "DEAD" } else { "not seen here" });
-        }
-        for meeting in meetings(store, &cell, now) {
-            text_meeting(&meeting, &mut out);
-        }
-        for finding in findings(store, &cell, now) {
-            let place = found(store, &cell, &finding);
-            let place: Vec<_> = [place.node, place.task, place.port].into_iter().flatten().collect();
-            let place = crate::name::shown(&place.join("."));
-            let level = if finding.level == Severity::Bad { "CRITICAL" } else { "warning" };
-            let text = shown_line(finding.text.as_ref());
-            let _ = writeln!(out, "  {level} {place}: {text} [{}]", finding.code);
-        }
-    }
-    for trouble in store.troubles() {
-        let _ = writeln!(out, "cannot attach: {}", shown_line(trouble));
-    }
-    out
-}
-
-fn text_node(incarnation: &NodeIncarnation, now: Moment, out: &mut String) {
-    let (presence, last) = (incarnation.presence(now), incarnation.last.as_ref());
-    let pid = if incarnation.pid == 0 { String::new() } else { format!(", pid {}", incarnation.pid) };
-    let _ = write!(out, "  node {}: {presence}{pid}, incarnation {}", incarnation.node, incarnation.number);
-    let _ = write!(out, ", ran {}", Span::micros(last.map_or(0, |s| s.snapshot.uptime_us)));
-    let real_time = last.and_then(|s| real_time(s.snapshot.real_time));
-    out.extend(real_time.map(|how| format!(", real time {how}")));
-    out.push_str(if last.is_some_and(|s| s.snapshot.insecure) { ", INSECURE\n" } else { "\n" });
-    for task in incarnation.tasks() {
-        let does = match task.liveness {
-            Liveness::Crashed => "CRASHED".to_owned(),
-            Liveness::Ended => "ended".to_owned(),
-            Liveness::Alive => match incarnation.task_held_back(task.view.task, now) {
-                Some(us) => held_back_words(us),
-                None => state(incarnation, &task.view.state),
-            },
-        };
-        let _ = writeln!(out, "    task {}: {does}", incarnation.names.task(task.view.task));
-        for port in &task.view.ports {
-            text_port(incarnation, task, port, now, out);
-        }
-    }
-}
-
-fn text_port(
-    incarnation: &NodeIncarnation,
-    task: &TaskSnapshot,
-    port: &PortView,
-    now: Moment,
-    out: &mut String,
-) {
-    let c = &port.counters;
-    let name = incarnation.names.port_name(port.port);
-    let _ = write!(out, "      port {name}: {}", port.usage);
-    if port.usage != Usage::Waitfor && port.capacity > 0 {
-        let _ = write!(out, ", {} of {} waiting", port.len, port.capacity);
-    }
-    if let Some(left) = port.min_slack.map(|s| incarnation.left(s, task.age_us, now)) {
-        let _ = write!(out, ", most urgent {left}");
-    }
-    let counters = [
-        ("sent", c.sent),
-        ("in", c.enqueued),
-        ("served", c.delivered),
-        ("expired", c.expired),
-        ("refused", c.refused),
-        ("evicted", c.evicted),
-        ("timed out", c.timed_out),
-        ("duplicates", c.duplicates),
-    ];
-    for (name, count) in counters.into_iter().filter(|(_, count)| *count > 0) {
-        let _ = write!(out, ", {name} {count}");
-    }
-    out.push('\n');
-}
-
-fn text_meeting(meeting: &Meeting, out: &mut String) {
-    let _ = write!(out, "  waitfor {} {}", meeting.name, meeting.round);
-    if !meeting.is_waiting() {
-        out.push_str(": none waiting\n");
-        return;
-    }
-    let _ = write!(out, ": {} of {} arrived", meeting.arrived(), meeting.members.len());
-    if let Some(left) = meeting.left {
-        let _ = write!(out, ", {left} left");
-    }
-    let missing =
-        meeting.members.iter().filter(|m| matches!(m.standing, Standing::Missing | Standing::Unknown));
-    let missing: Vec<_> = missing.map(|m| format!("{}@{} ({})", m.name, m.node, m.doing)).collect();
-    if !missing.is_empty() {
-        let _ = write!(out, ", missing {}", missing.join(", "));
-    }
-    out.push('\n');
 }

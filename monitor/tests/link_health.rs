@@ -63,8 +63,18 @@ fn a_delay_is_shown_beside_its_bound_and_warned_of_when_it_comes_near() {
         reports(&mut stage, at, recent, Integrity::default());
         let (codes, row) = shown(&mut stage, at);
         assert_eq!(codes, Vec::from_iter(code), "{recent:?}");
-        let words = format!("nl-nr ok {}/{}", span(recent.p99_us), span(bound));
+        let words = format!("nl-nr ok {}", recent.beside(bound));
         assert!(row.contains(&words), "{words}: {row}");
+        let text = report::text(stage.app.store(), None, ms(at));
+        let words = format!("\n    link from nl: {} in 6.00s\n", recent.beside(bound));
+        assert!(text.contains(&words), "{words}: {text}");
+        // A narrow screen has the 99th percentile alone.
+        let narrow = stage.typed(ms(at), (80, 24), "1");
+        let words = recent
+            .briefly_beside(bound)
+            .map_or_else(|| " nl-nr ok ".to_owned(), |words| format!("nl-nr ok {words}"));
+        let row = narrow.lines().find(|line| line.contains(" links ")).expect("the links");
+        assert!(row.contains(&words) && !row.contains("p50"), "{words}: {row}");
     }
     // A report of long ago is not shown any more.
     let (codes, row) = shown(&mut stage, 6_000);
@@ -100,10 +110,6 @@ fn a_slight_fault_of_a_link_displaces_nothing_that_a_port_reports() {
     assert!(shown.lines().any(|line| line.contains(" nr ") && line.contains("! refused")), "{shown}");
     // A more severe finding comes first, whatever it is about.
     assert!(found.is_sorted_by_key(|finding| std::cmp::Reverse(finding.level)));
-}
-
-fn span(us: u64) -> String {
-    imrs_monitor::clock::Span::micros(us).to_string()
 }
 
 #[test]

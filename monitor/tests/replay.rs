@@ -11,8 +11,11 @@ use imrs_monitor::theme::Theme;
 use imrs_monitor::{At, Options, report};
 use imrs_protocol::{Event, TaskId, Ticks};
 use imrs_wire::obs::{Events, HeldBack, HeldTask, Hello, Role, SCHEMA, ServerFrame, VERSION, Version};
-use imrs_wire::recording::{Doing, Header, Place, Record, RecordingWriter, Shown, Step, Story};
+use imrs_wire::recording::{
+    Doing, Header, Place, Record, RecordingReader, RecordingWriter, Shown, Step, Story,
+};
 use proptest::prelude::*;
+use std::fs::File;
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
@@ -238,6 +241,33 @@ fn a_recording_shows_what_was_seen_live() {
     assert_eq!((&place["at_us"], &place["story"]), (&1_490_000.into(), &serde_json::Value::Null));
     assert!(report::is_critical(player.store(), None, player.moment()), "a death is one in a recording too");
     assert_eq!(free_name(&path), folder.path().join("run-2.imrs"));
+}
+
+#[test]
+fn the_header_says_whether_nodes_have_keys_though_the_recording_was_started_before_them() {
+    let folder = tempfile::tempdir().unwrap();
+    for insecure in [true, false] {
+        let path = folder.path().join(format!("{insecure}.imrs"));
+        let tape = Tape::default();
+        let take = |at, feed| tape.take(&Arrival { at: ms(at), source: SourceId(0), feed });
+        tape.start(&path, ms(0)).unwrap();
+        take(5, Feed::Attached { identity: identity(0, 1), pid: 800, build: "imrs 0.1.0".into() });
+        take(6, Feed::Frame(Box::new(ServerFrame::Table(table()))));
+        assert_eq!(path.metadata().unwrap().len(), 0, "nothing is known yet");
+        let state = imrs_wire::obs::Snapshot { insecure, ..snapshot(0) };
+        take(7, Feed::Frame(Box::new(ServerFrame::Snapshot(state))));
+        assert!(tape.stop().unwrap().status.ended);
+        let header = RecordingReader::new(File::open(&path).unwrap()).unwrap().header().clone();
+        assert_eq!((header.insecure, header.cell), (insecure, identity(0, 1).cell));
+        let mut player = Player::new(Arc::new(whole_film(&path)), 1.0);
+        player.go_to_end();
+        assert!(report::text_of_replay(&player, None).contains("node nl: up"));
+    }
+    // Without any node, a recording is empty, and has a header and an end.
+    let (tape, path) = (Tape::default(), folder.path().join("empty.imrs"));
+    tape.start(&path, ms(0)).unwrap();
+    let recorded = tape.stop().unwrap();
+    assert!(recorded.status.ended && tape.stop().is_none(), "{recorded:?}");
 }
 
 #[test]

@@ -8,7 +8,6 @@ use crate::faults::Restart;
 use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, complain, count, grouped, span};
 use imrs_launch::{Keys, NodeSummary, RendezvousSummary, Run, StartedNode, Summary, Trouble, link_warnings};
 use imrs_protocol::{CellTable, Usage};
-use imrs_wire::obs::LinkSummary;
 use std::collections::BTreeMap;
 
 /// Prints which nodes and tasks run, and how to watch them.
@@ -272,14 +271,8 @@ fn node_line(node: &NodeSummary, relays: bool) -> String {
 
 /// Prints how long datagrams took on the links to a node, against the declared bounds, and what is wrong with the links.
 fn links(node: &NodeSummary, out: &mut Output) -> Result<(), Failure> {
-    let measured = node.links.iter().filter(|link| link.delay.count > 0);
-    let one =
-        |link: &LinkSummary| format!("{} {} of {}", link.from, span(link.delay.p99_us), span(link.bound_us));
-    let shown: Vec<_> = measured.map(one).collect();
-    if !shown.is_empty() {
-        out.line(format!("    link delays, p99 at most: from {}", shown.join(", from ")))?;
-    }
     for link in &node.links {
+        out.line(format!("    link from {}: {}", link.from, link.delay.beside(link.bound_us)))?;
         let ink = if link.integrity.faults > 0 { BAD } else { NOTE };
         for words in link_warnings(link, &node.name) {
             out.line(format!("    {}", Styled(ink, words)))?;

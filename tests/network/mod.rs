@@ -17,6 +17,8 @@ mod switch;
 mod trial;
 #[cfg(feature = "zenoh")]
 mod zenoh;
+#[cfg(feature = "zenoh")]
+mod zenoh_demos;
 
 use crate::support::{bound, wait_until};
 use hosts::{Hosts, are_possible};

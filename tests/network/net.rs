@@ -17,7 +17,7 @@ pub struct Net {
     pub hosts: Hosts,
     pub cell: PathBuf,
     /// The names of the cell's nodes. The node at position `i` runs on host `i`.
-    names: &'static [&'static str],
+    pub names: &'static [&'static str],
     /// How often each node was started.
     starts: Vec<usize>,
     /// The recordings of all starts of nodes, each with its host.
@@ -72,7 +72,7 @@ pub struct Ended {
     /// The answer of `imrs replay --model` about all recordings together.
     pub model: Value,
     /// The folder of the run, which is removed with this value.
-    dir: TempDir,
+    pub dir: TempDir,
 }
 
 impl Drop for Ended {

@@ -32,7 +32,7 @@ end idle;
 
 /// How the gateways reach the router.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Transport {
+pub enum Transport {
     Tcp,
     Udp,
     /// QUIC, whose datagrams carry what is sent by best effort.
@@ -62,7 +62,7 @@ impl Transport {
 }
 
 /// The processes that carry the datagrams of a run.
-struct Carried {
+pub struct Carried {
     router: Program,
     /// The gateways end before the router.
     gateways: Vec<Program>,
@@ -70,7 +70,7 @@ struct Carried {
 
 impl Carried {
     /// Starts a router and a gateway on the host of each node.
-    fn start(net: &Net, cell: &Path, transport: Transport) -> Self {
+    pub fn start(net: &Net, transport: Transport) -> Self {
         let dir = net.dir.path();
         if transport == Transport::Quic {
             certify(dir);
@@ -85,12 +85,19 @@ impl Carried {
         let idle = written(dir, "router.cell", ONLY_A_ROUTER);
         let router = carrier(net, ROUTER, &idle, "r", &config("router.json5", "router", "listen"));
         let config = config("gateway.json5", "client", "connect");
-        let gateway = |(host, name): (usize, &&str)| carrier(net, host, cell, name, &config);
-        Self { router, gateways: NODES.iter().enumerate().map(gateway).collect() }
+        let gateway = |(host, name): (usize, &&str)| carrier(net, host, &net.cell, name, &config);
+        Self { router, gateways: net.names.iter().enumerate().map(gateway).collect() }
+    }
+
+    /// Stops the router for a while.
+    pub fn stall(&self) {
+        signal(self.router.pid(), Signal::STOP);
+        thread::sleep(STALL);
+        signal(self.router.pid(), Signal::CONT);
     }
 
     /// Ends the gateways and the router. Returns how many datagrams went out and came in.
-    fn finish(self) -> [u64; 2] {
+    pub fn finish(self) -> [u64; 2] {
         let mut all = [0; 2];
         for gateway in self.gateways {
             gateway.interrupt();
@@ -143,13 +150,11 @@ fn certify(dir: &Path) {
 /// A run of the cell over zenoh. The router is stopped `stalls` times. Also returns how many datagrams went out and came in.
 fn zenoh(seed: u64, transport: Transport, stalls: u32) -> (Ended, [u64; 2]) {
     let mut net = Net::on(Hosts::new(NODES.len() + 1, seed), &talk_on_loopback(), NODES);
-    let carried = Carried::start(&net, &net.cell, transport);
+    let carried = Carried::start(&net, transport);
     net.start_all(&How::default());
     progress(&net);
     for _ in 0..stalls {
-        signal(carried.router.pid(), Signal::STOP);
-        thread::sleep(STALL);
-        signal(carried.router.pid(), Signal::CONT);
+        carried.stall();
         progress(&net);
     }
     talk_on(&net);
@@ -191,6 +196,14 @@ fn delays(ended: &Ended) -> [u64; 3] {
         .map(|stat| links.iter().map(|link| number(&link["delay"][stat])).max().expect("a link"))
 }
 
+/// How many datagrams the nodes gave to their sockets, and took from them.
+pub fn datagrams(ended: &Ended) -> [u64; 2] {
+    let summaries: Vec<Value> = ended.said.iter().map(|(_, said)| said.last_json()).collect();
+    let of = |summary: &Value, name: &str| summary["nodes"][0]["link"][name].as_u64().unwrap_or(0);
+    ["datagrams_sent", "datagrams_received"]
+        .map(|name| summaries.iter().map(|summary| of(summary, name)).sum())
+}
+
 #[test]
 fn a_cell_over_zenoh_ends_as_over_udp_and_a_stalled_router_makes_nothing_stale() {
     if !are_possible() {
@@ -202,7 +215,8 @@ fn a_cell_over_zenoh_ends_as_over_udp_and_a_stalled_router_makes_nothing_stale()
     for round in 0..bound("IMRS_TRIALS", 1) {
         let plain = udp(round);
         let [p50, p99, max] = delays(&plain);
-        println!("| UDP | {p50} us | {p99} us | {max} us | | |");
+        let [out, into] = datagrams(&plain);
+        println!("| UDP | {p50} us | {p99} us | {max} us | {out} | {into} |");
         for transport in Transport::ALL {
             let (ended, [out, into]) = zenoh(round, transport, 0);
             let [p50, p99, max] = delays(&ended);
@@ -224,7 +238,7 @@ fn a_gateway_carries_no_datagram_without_keys() {
         return;
     }
     let net = Net::on(Hosts::new(NODES.len() + 1, 1), &talk_on_loopback(), NODES);
-    let carried = Carried::start(&net, &net.cell, Transport::Tcp);
+    let carried = Carried::start(&net, Transport::Tcp);
     let (dir, cell) = (net.dir.path(), net.cell.to_str().expect("UTF-8"));
     let command = imrs(dir, &["run", cell, "--node", NODES[0], "--insecure", "--for", "2s"]);
     let node = net.hosts.on(0, || Program::start(command));

@@ -11,7 +11,7 @@ use crate::store::health::Place;
 use crate::store::{Measured, Presence};
 use crate::theme::Ink;
 use imrs_protocol::NodeId;
-use imrs_wire::obs::Margin;
+use imrs_wire::obs::{Delays, Margin};
 
 /// How many rows at the bottom of the overview this part takes.
 pub(super) const fn rows(height: u16) -> u16 {
@@ -29,7 +29,10 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let width = columns(label).saturating_add(columns(text));
     let room = canvas.area.width.saturating_sub(width);
     let (mut x, mut shown, mut is_cut) = (0, 0, false);
-    for (text, ink, place) in links(app, &cell, now) {
+    let whole = links(app, &cell, now, |delays, bound_us| Some(delays.beside(bound_us)));
+    let fits = whole.iter().map(|(text, ..)| columns(text)).sum::<u16>() <= room;
+    let pieces = if fits { whole } else { links(app, &cell, now, Delays::briefly_beside) };
+    for (text, ink, place) in pieces {
         // Half of a link's text says nothing, so a link is drawn as a whole or counted.
         is_cut |= x > 0 && columns(&text) + x + columns(MORE) > room;
         if is_cut {
@@ -55,9 +58,12 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     canvas.target(start, 0, x.saturating_sub(start), Hit::Tab(Screen::Model));
 }
 
+/// Puts delays beside the bound of their link in microseconds, in words for a row.
+type Words = fn(&Delays, u64) -> Option<String>;
+
 /// For each link: whether it is active, for how long it has been quiet, or that a node at one of its ends is down.
 /// Each comes with the place to which a click leads: the node at the end that is in trouble, otherwise at its first end.
-fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink, Option<Place>)> {
+fn links(app: &App, cell: &Name, now: Moment, words: Words) -> Vec<(String, Ink, Option<Place>)> {
     let store = app.store();
     let Some(names) = store.names(cell) else { return Vec::new() };
     let gone = |node| store.latest(cell, node).is_some_and(|incarnation| incarnation.presence(now).is_gone());
@@ -85,7 +91,7 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink, Option<Place>
             _ if cut_at(link.a, link.b).is_some() => ("CUT".to_owned(), Ink::Bad),
             _ if is_faulty(&ends) => ("FAULTY".to_owned(), Ink::Bad),
             Some(us) if us <= LATELY_US => {
-                let (delay, ink) = delay(app, cell, &ends, now);
+                let (delay, ink) = delay(app, cell, &ends, now, words);
                 (format!("ok{delay}"), ink)
             }
             // Without traffic a link is quiet, which is no fault.
@@ -135,14 +141,13 @@ fn measured<'a>(
     })
 }
 
-/// The recent 99th percentile of the delay in the slower direction of a link, and the declared bound: ` 400us/5ms`.
-fn delay(app: &App, cell: &Name, ends: &[(NodeId, NodeId)], now: Moment) -> (String, Ink) {
+/// The recent delays in the slower direction of a link beside the declared bound.
+fn delay(app: &App, cell: &Name, ends: &[(NodeId, NodeId)], now: Moment, words: Words) -> (String, Ink) {
     let mut links = measured(app, cell, ends, now);
-    let measures = links.clone().filter(|link| link.report.recent.count > 0);
-    let slowest = measures.max_by_key(|link| link.report.recent.p99_us);
-    let Some(link) = slowest else { return (String::new(), Ink::Plain) };
+    let slowest = links.clone().max_by_key(|link| link.report.recent.p99_us);
+    let words = slowest.and_then(|link| words(&link.report.recent, link.bound_us));
     let is_enough = links.all(|link| link.margin() == Margin::Enough);
-    let text = format!(" {}/{}", Span::micros(link.report.recent.p99_us), Span::micros(link.bound_us));
+    let text = words.map_or_else(String::new, |words| format!(" {words}"));
     (text, if is_enough { Ink::Plain } else { Ink::Warn })
 }
 

@@ -130,6 +130,32 @@ impl Delays {
     /// prove nothing.
     pub const A_RULE: u64 = 20;
 
+    /// The delays beside the declared bound of their link, for every text and screen that shows them. All figures are
+    /// milliseconds, rounded up to about three digits. With fewer datagrams than [`Self::A_RULE`] there are no figures.
+    ///
+    /// ```
+    /// use imrs_wire::obs::Delays;
+    ///
+    /// let delays = Delays { count: 300, late: 0, p50_us: 90, p99_us: 4_210, max_us: 12_345 };
+    /// assert_eq!(delays.beside(5_000), "p50 0.09, p99 4.21, max 12.4 of 5 ms");
+    /// assert_eq!(Delays { count: 7, ..delays }.beside(5_000), "too few to judge (7)");
+    /// ```
+    #[must_use]
+    pub fn beside(&self, bound_us: u64) -> String {
+        if self.count < Self::A_RULE {
+            return format!("too few to judge ({})", self.count);
+        }
+        let [p50, p99, max] = [self.p50_us, self.p99_us, self.max_us].map(milliseconds);
+        format!("p50 {p50}, p99 {p99}, max {max} of {} ms", bound_us as f64 / 1_000.0)
+    }
+
+    /// The 99th percentile beside the bound, as in [`Self::beside`], where a row has no room for more: `4.21/5 ms`.
+    #[must_use]
+    pub fn briefly_beside(&self, bound_us: u64) -> Option<String> {
+        let p99 = (self.count >= Self::A_RULE).then(|| milliseconds(self.p99_us))?;
+        Some(format!("{p99}/{} ms", bound_us as f64 / 1_000.0))
+    }
+
     /// Compares the delays with the declared bound of their link.
     #[must_use]
     pub const fn margin(&self, bound: Ticks) -> Margin {
@@ -145,9 +171,28 @@ impl Delays {
     }
 }
 
+/// Microseconds as milliseconds with about three digits, rounded up, because delays are upper bounds.
+fn milliseconds(us: u64) -> String {
+    match us {
+        0..10_000 => format!("{:.2}", us.div_ceil(10) as f64 / 100.0),
+        10_000..100_000 => format!("{:.1}", us.div_ceil(100) as f64 / 10.0),
+        _ => us.div_ceil(1_000).to_string(),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn delays_stand_beside_their_bound_in_one_unit() {
+        let delays = |count, p50_us| Delays { count, late: 0, p50_us, p99_us: 99_901, max_us: 1_234_001 };
+        assert_eq!(delays(20, 9_990).beside(250), "p50 9.99, p99 100.0, max 1235 of 0.25 ms");
+        assert_eq!(delays(20, 1).beside(2_000_000), "p50 0.01, p99 100.0, max 1235 of 2000 ms");
+        assert_eq!(delays(20, 0).briefly_beside(5_000).as_deref(), Some("100.0/5 ms"));
+        assert_eq!(delays(19, 0).beside(5_000), "too few to judge (19)");
+        assert_eq!(delays(19, 0).briefly_beside(5_000), None);
+    }
 
     #[test]
     fn a_bound_is_near_from_four_fifths_on_and_exceeded_by_more_than_one_in_a_hundred() {

@@ -66,10 +66,7 @@ pub(super) fn measured(incarnation: &NodeIncarnation, now: Moment, found: &mut V
         match link.margin() {
             Margin::Enough => {}
             Margin::Near => {
-                let text = format!(
-                    "link from {from}: p99 at most {}, declared {bound}",
-                    Span::micros(recent.p99_us)
-                );
+                let text = format!("link from {from}: {}", recent.beside(link.bound_us));
                 found.push(Finding::new(&codes::LINK_NEAR, place, text));
             }
             Margin::Exceeded => {
