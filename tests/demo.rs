@@ -134,7 +134,7 @@ fn says(said: &Said, words: &[&str]) {
 
 #[test]
 fn without_faults_everybody_starts_together() {
-    // An answer must come within 5 msec, so a late machine may need several lifts. The last query may still be open.
+    // Waits for one answer within 5 ms, for which a busy machine may need several lifts. The last query may still be open.
     let summary = lifts(&["--no-fault"], "three lifts and an answer", |seen| {
         let beats = |name: &str| figure(seen, "armL", "beat", name);
         released(seen, "armL") >= 3 && beats("sent") >= beats("timed_out") + 2

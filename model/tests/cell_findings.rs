@@ -6,7 +6,7 @@ use imrs_protocol::TaskId;
 use imrs_wire::obs::Liveness;
 use std::sync::Arc;
 
-/// A cell of two tasks on two nodes that are a tick apart; task `a` owns the ports in `ports`.
+/// A cell of two tasks on two nodes, whose link delays a packet by at most one tick. Task `a` owns the ports in `ports`.
 fn two(ports: &str, uses: &str, a: &str, b: &str, rest: &str) -> Text {
     Text::new(&two_text(ports, uses, a, b, rest))
 }

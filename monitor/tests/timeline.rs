@@ -70,7 +70,7 @@ proptest! {
     }
 }
 
-/// The clocks were compared over a slow connection, so a request may seem to be rejected and answered before it was sent.
+/// The monitor compared the nodes' clocks over a slow connection, so a request may seem to be rejected and answered before it was sent.
 /// The stages of its history are in the order in which one follows from the other nevertheless.
 #[test]
 fn a_large_error_of_the_clocks_changes_no_order_of_a_message() {
@@ -82,7 +82,7 @@ fn a_large_error_of_the_clocks_changes_no_order_of_a_message() {
     let of = |list: &[(u64, Event)], peer| {
         list.iter().map(|(ms, event)| (*ms, left(*event, BEAT, peer, 7, 100))).collect::<Vec<_>>()
     };
-    // The round trip of the comparison took 400 ms.
+    // The monitor compares its clock with the node's by a ping and its answer. Here the answer came 400 ms after the ping.
     for node in [0, 1] {
         stage.frame(ms(900), node, ServerFrame::Pong(Pong { echo_us: 500_000, mono_us: 4_700_000 }));
     }

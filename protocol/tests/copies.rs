@@ -10,8 +10,8 @@ const Y: TaskId = TaskId(1);
 /// The port for commands of X to Y, retransmitted once after 10 ticks; in up to 2 packets.
 const GO: PortId = PortId(0);
 
-/// The tasks X and Y, two ticks apart, and two copies of a command of X. The first copy was delayed: it has 4 ticks left,
-/// and the way back takes 2.
+/// The tasks X and Y on two nodes, whose link delays a packet by at most two ticks, and two copies of a command of X. The
+/// first copy was delayed: it has 4 ticks left, and its answer takes 2.
 fn two_copies() -> (Solo, Solo, [Packet; 2]) {
     let mut cell = Cell::new("copies", Ticks(1));
     let (n, m) = (cell.node("n"), cell.node("m"));

@@ -15,7 +15,7 @@ const LEASE: u64 = 14;
 const TAKEOVER: u64 = 32;
 const EVERY: u64 = 4;
 
-/// A cell with two robots on two nodes that are a tick apart.
+/// A cell with two robots on two nodes. Their link delays a packet by at most one tick.
 fn cell(mutual: bool) -> Cell {
     let mut cell = Cell::new("couple", Ticks(1));
     let (a, b) = (cell.node("p"), cell.node("s"));

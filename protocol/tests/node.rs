@@ -17,7 +17,8 @@ const MOVE: PortId = PortId(0);
 /// The port for status messages from X to Z.
 const HEARTBEAT: PortId = PortId(1);
 
-/// A cell with a chain of three nodes, two and three ticks apart: X and Y on the first, Z on the last.
+/// A cell with a chain of three nodes, whose links delay a packet by at most two and three ticks. X and Y are on the first
+/// node, Z on the last.
 fn cell() -> Cell {
     let mut cell = Cell::new("chain", Ticks(1));
     let [a, b, c] = ["a", "b", "c"].map(|name| cell.node(name));

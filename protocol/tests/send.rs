@@ -18,7 +18,7 @@ const MOVE: PortId = PortId(1);
 /// The port for commands from X to Y or Z, retransmitted twice, 5 ticks apart.
 const GRIP: PortId = PortId(2);
 
-/// A cell with X on node A, and Y and Z on node B, two ticks away.
+/// A cell with X on node A, and Y and Z on node B. The link delays a packet by at most two ticks.
 fn cell() -> Cell {
     let mut cell = Cell::new("pair", Ticks(1));
     let (a, b) = (cell.node("a"), cell.node("b"));

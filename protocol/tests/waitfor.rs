@@ -11,7 +11,7 @@ const Y: TaskId = TaskId(1);
 const Z: TaskId = TaskId(2);
 const LIFT: PortId = PortId(0);
 
-/// A cell of `n` tasks on nodes of their own, two ticks apart. Arrivals repeat every 6 ticks; the margin covers `losses`.
+/// `n` tasks, each on its own node; link delay 2 ticks. Arrivals repeat every 6 ticks; the margin covers `losses`.
 fn cell_with(n: usize, losses: u8, rules: Rules) -> Cell {
     let mut cell = Cell::new("lift", Ticks(1));
     for i in 0..n {

@@ -225,8 +225,8 @@ impl ReplayAnswer {
         let late = count(self.late_at_most, "tick");
         let late = (self.late_at_most > 0).then(|| format!(", nodes that act up to {late} late"));
         out.line(format!(
-            "  beside what `imrs verify` explores: arrivals and ends anywhere within their bounds (of those it tries some, \
-             without faults){}",
+            "  beside what `imrs verify` explores: arrivals and ends anywhere within their bounds (its line `looked at` \
+             names the times that it tries){}",
             late.unwrap_or_default()
         ))?;
         if self.other_values > 0 {

@@ -157,8 +157,8 @@ fn what(args: &SimulateArgs, names: &Names<'_>) -> Result<What, Failure> {
 /// A flag that Ctrl-C sets. A second Ctrl-C ends the process.
 fn stop_at_ctrl_c() -> Arc<AtomicBool> {
     let (stop, once) = (Arc::default(), Arc::default());
-    // A signal runs the registered actions in the order of registration, so a signal that arrives after the first of
-    // these two calls sets the flag, too. If no action can be registered, Ctrl-C ends the process at once.
+    // Each Ctrl-C runs these three actions in this order: it sets `stop`; it ends the process if `once` is set; it sets
+    // `once`. So only the second Ctrl-C ends the process. If no action can be registered, the first does.
     let _ = signal_hook::flag::register(SIGINT, Arc::clone(&stop));
     let _ = signal_hook::flag::register_conditional_default(SIGINT, Arc::clone(&once));
     let _ = signal_hook::flag::register(SIGINT, once);

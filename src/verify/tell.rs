@@ -123,7 +123,7 @@ impl Telling<'_> {
         used.dedup();
         let words = used.iter().map(|times| match times {
             Times::Every if self.plan.step > 1 => "every model tick: any of them within a packet's bound and an action's times",
-            Times::Zones => "every tick, by zones: any of them within a packet's bound and an action's times; a standstill is told if all times of a zone lead to it",
+            Times::Zones => "every tick, by zones: any of them within a packet's bound and an action's times; a standstill is reported only if all times of a zone (a set of times) lead to it",
             Times::Every => "every tick: any of them within a packet's bound and an action's times",
             Times::Between => "the ends and after events: the bound of a packet, the least and the most time of an action, and right after anything else that happens",
             Times::Ends | Times::Auto => "the ends: the bound of a packet, the least and the most time of an action",

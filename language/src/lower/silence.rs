@@ -6,7 +6,8 @@ use crate::hir::{Expr, Task, Trigger};
 use imrs_protocol::script::{Op, Slot, Term, Type, eval};
 use imrs_protocol::{PortId, Ticks, TimeId};
 
-/// A silence of a port for which a handler waits.
+/// A handler `on silence port length when ..`: it runs when no message has come through `port` for `length`, while `when`
+/// held all the time.
 pub(super) struct Silence {
     pub port: PortId,
     pub timer: TimeId,
@@ -14,12 +15,12 @@ pub(super) struct Silence {
     pub when: Option<Expr>,
     /// The variables of the task that `when` reads.
     watched: Vec<Slot>,
-    /// The variable that keeps the last value of `when`, if one store can change several silences.
+    /// The variable that keeps the last value of `when`, if one assignment can change the conditions of several silences.
     kept: Option<Slot>,
 }
 
 impl Silence {
-    /// The silences of a task; `length` converts their durations.
+    /// The `on silence` handlers of a task; `length` converts their durations.
     pub fn all(task: &Task, mut length: impl FnMut(crate::hir::Duration) -> Ticks) -> Vec<Self> {
         let mut silences = Vec::new();
         for handler in &task.handlers {
@@ -81,7 +82,7 @@ impl Silence {
     }
 }
 
-/// Gives each silence a variable for its condition if one store can change several silences.
+/// Gives each silence a variable for the value of its condition, if one assignment can change several conditions.
 pub(super) fn keep(silences: &mut [Silence], emit: &mut Emitter) {
     let with_condition = silences.iter().filter(|silence| !silence.watched.is_empty()).count();
     if with_condition < 2 {
@@ -92,7 +93,8 @@ pub(super) fn keep(silences: &mut [Silence], emit: &mut Emitter) {
     }
 }
 
-/// Emits `write`, which stores into these variables, and then the starts and stops of the silences that depend on them.
+/// Emits `write`, which stores into these variables. Then emits the start or stop of each silence timer whose condition reads
+/// one of them.
 pub(super) fn store(
     silences: &[Silence],
     emit: &mut Emitter,

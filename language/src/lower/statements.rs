@@ -252,7 +252,7 @@ impl<'h> Writer<'h, '_> {
     }
 
     /// Emits the unpacking of the answer or message, if one came. For a message, also saves its source and restarts the
-    /// silences of its port.
+    /// timers of its port's `on silence` handlers.
     fn unpack(&mut self, format: u16, into: &[Destination], received: Option<Option<PortId>>) {
         let keeps = |capture: &crate::hir::Capture| {
             matches!(capture.what, Captured::Sender | Captured::Received | Captured::Ticket)
@@ -346,7 +346,8 @@ impl<'h> Writer<'h, '_> {
         values.iter().for_each(|value| self.emit.ops(&value.ops));
     }
 
-    /// Emits `write`, which stores into these variables, and then the starts and stops of the silences that depend on them.
+    /// Emits `write`, which stores into these variables. Then emits the start or stop of each silence timer whose condition
+    /// reads one of them.
     fn store(&mut self, into: &[Destination], write: impl FnOnce(&mut Self)) {
         let slots: Vec<Slot> = into.iter().map(|to| to.slot).collect();
         let silences = std::mem::take(&mut self.silences);

@@ -154,7 +154,7 @@ impl<'h> Writer<'h, '_> {
         }
     }
 
-    /// Emits the restart of the timers of these silences, if the conditions of the silences hold.
+    /// For each handler `on silence .. when ..` that `which` selects: emits the restart of its timer, if its condition holds.
     pub fn restart(&mut self, which: impl Fn(&Silence) -> bool) {
         let silences = std::mem::take(&mut self.silences);
         silences.iter().filter(|silence| which(silence)).for_each(|silence| silence.restart(&mut self.emit));

@@ -104,7 +104,7 @@ impl Attendance {
     }
 }
 
-/// The waitfors of a cell.
+/// The ports of a cell at which tasks meet (usage `waitfor`).
 pub fn waitfors(table: &CellTable) -> impl Iterator<Item = &Port> {
     table.ports().iter().filter(|port| port.decl.usage == Usage::Waitfor)
 }

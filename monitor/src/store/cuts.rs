@@ -1,5 +1,5 @@
-//! Links over which nothing arrives, though packets are sent. The two ends share no clock, so the packets are counted that
-//! one node sent after the other one last heard of it.
+//! Links over which nothing arrives, though packets are sent. The two ends share no clock, so the monitor counts the packets
+//! that one node has sent since the other node last received one.
 
 use super::{IncarnationId, NodeIncarnation, Presence, Store};
 use crate::clock::Moment;
@@ -121,7 +121,8 @@ pub fn cuts<'a>(store: &'a Store, cell: &Name, now: Moment) -> Vec<Cut<'a>> {
     found
 }
 
-/// Whether a node reports and has done so for long enough: a process that was stopped has heard nothing either.
+/// Whether a node reports, and has done so for the last seconds. A node whose process was stopped hears nothing, though its
+/// links are whole.
 fn is_awake(incarnation: &NodeIncarnation, now: Moment) -> bool {
     incarnation.presence(now) == Presence::Up && now.saturating_sub(incarnation.resumed) >= SILENCE
 }
@@ -130,8 +131,8 @@ fn is_awake(incarnation: &NodeIncarnation, now: Moment) -> bool {
 fn drops(incarnation: &NodeIncarnation) -> bool {
     let count = |sample: &Option<super::Sample>| {
         let drops = sample.as_ref().map_or(&[][..], |sample| &sample.snapshot.link_discards);
-        // What could not be sent says nothing of what arrives. And what is dropped after a restart is followed by what is
-        // accepted, unless the two ends do not find a common session.
+        // Failed sends say nothing about arrivals. After a restart a node drops some datagrams and then accepts others,
+        // unless the two ends find no common session.
         let is_other = |name: &str| name.starts_with("send_") || ORDINARY.contains(&name);
         let arrived = drops.iter().filter(|drop| !is_other(&drop.name));
         arrived.map(|drop| drop.count).fold(0, u64::saturating_add)

@@ -138,16 +138,16 @@ mod tests {
 
     #[test]
     fn a_neighbour_speaks_for_those_behind_it_only() {
-        // 0 - 1 - 2 - 3, and 4 linked to 2. Link bounds of zero do not weaken the check.
+        // 0 - 1 - 2 - 3, and 4 linked to 2. All links have the delay zero, because the check must not depend on delays.
         let table = table(5, &[(0, 1, 0), (1, 2, 0), (2, 3, 0), (2, 4, 0)]);
         let two = at(&table, 2);
         let from = |from, source, destination| can_come(&two, NodeId(from), &packet(source, destination));
         assert!(from(1, 1, 2) && from(1, 0, 2) && from(1, 0, 3) && from(3, 3, 0) && from(4, 4, 1));
         assert!(!from(4, 0, 2), "the task lies behind another neighbour");
         assert!(!from(4, 1, 3) && !from(3, 4, 0) && !from(1, 3, 0));
-        assert!(!from(1, 2, 3) && !from(4, 2, 2), "this node's own task does not speak from outside");
-        assert!(!from(1, 0, 1) && !from(3, 4, 3), "its way does not lead through here");
-        assert!(from(1, 99, 2) && from(1, 0, 99), "no way is known of tasks that there are not");
+        assert!(!from(1, 2, 3) && !from(4, 2, 2), "no packet of this node's own task comes from outside");
+        assert!(!from(1, 0, 1) && !from(3, 4, 3), "its route does not pass this node");
+        assert!(from(1, 99, 2) && from(1, 0, 99), "a task that does not exist has no route");
     }
 
     #[test]

@@ -285,7 +285,8 @@ impl<'a> Path<'a> {
                     let begun =
                         Begun { at: self.now, action: action.action, least: action.least, most: action.most };
                     if action.most != Running::FOREVER {
-                        // `is_possible` compares the least time when the action ends. So no other event asks whether that time is over.
+                        // `is_possible` checks the least time of the action when the action ends. The state gets zero
+                        // for it, so that the end of the least time is no event of its own.
                         action.least = Ticks::ZERO;
                     }
                     begun

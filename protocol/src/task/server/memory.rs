@@ -196,7 +196,8 @@ impl Source {
     /// still come.
     #[cfg(feature = "checker")]
     pub fn bury_seen<I: Iterator<Item = Seq24>>(&mut self, copies: impl Fn() -> I) {
-        // A copy newer than all received messages is taken in whether the entry exists or not.
+        // The entry matters only for copies that are not newer than the newest received message. A newer copy is accepted
+        // with and without the entry.
         let may_come = |newest: Seq24| copies().any(|copy| !copy.is_newer_than(newest));
         match &mut self.memory {
             Memory::Command(command) => {
