@@ -121,8 +121,8 @@ fn are_taken(links: &[UdpLink; 3], network: &Network) -> bool {
     is_done && both().all(|(from, to)| taken(&links[to], from) == network.count(from, to))
 }
 
-/// Sends packets to both neighbours until all is over, while nobody else holds the lock. Returns how many left for each
-/// node.
+/// Sends packets to both neighbours until all is over, except while the test holds the lock `may`. Returns how many left
+/// for each node.
 fn speak(
     me: usize,
     links: &[UdpLink; 3],
@@ -184,7 +184,7 @@ fn talk(replace_after: u64, before: impl Fn(&[UdpLink; 3]), is_enough: impl Fn(&
             scope.spawn(move || speak(node, links, network, until))
         });
         wait("they meet", &|| both().all(|(from, to)| taken(&links[to], from) > 20));
-        // Whoever changes the counters waits until nothing is under way, because the window would forget it.
+        // `before` may set a counter far ahead. The window would then drop datagrams that are still under way.
         let may_not = may.write().expect("no panic");
         wait("all that was delivered is taken in", &|| are_taken(&links, &network));
         before(&links);
@@ -221,7 +221,8 @@ fn sessions_that_are_renewed_ten_times_a_second_lose_nothing() {
     talk(100_000, |_| (), is_enough);
 }
 
-/// Each node of a pair comes to the greatest number of datagrams of a session, the second one some time after the first.
+/// In one run the first node of each pair comes to the greatest number of datagrams of a session, and in another run the
+/// second node.
 #[test]
 fn a_session_is_renewed_after_so_many_datagrams_and_loses_nothing() {
     const MOST: u64 = 1 << 32;

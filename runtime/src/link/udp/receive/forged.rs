@@ -112,7 +112,7 @@ fn a_forger_with_all_but_the_keys_changes_nothing_that_a_link_knows() {
     assert_eq!(scene.heard[1].of(0).last(), Some(&(1 << 20)));
 }
 
-/// The nodes use one core for the tasks, too, so the answers to copies of a request are few.
+/// Without a limit, a flood of copies would keep a core busy with answers.
 #[test]
 fn copies_of_a_request_for_a_session_draw_64_answers_in_50_ms() {
     let scene = Scene::new(&keys());
