@@ -199,8 +199,7 @@ Examples:
   imrs run cell.cell --kill hoist@2s --restart hoist@3s  and started again
   imrs run cell.cell --node nl --rt                   one node, on its robot
   imrs run cell.cell --node nl --report nl.json       to `imrs summary cell.cell *.json`
-  imrs run cell.cell --observe 127.0.0.1:7100         watched over TCP, too
-  imrs run cell.cell --observe 0.0.0.0:7100 --observe-token FILE  by who has the file
+  imrs run cell.cell --observe 0.0.0.0:7100 --observe-token FILE  watched over TCP, by who has the file
   imrs run cell.cell --action 'grip=./grip --hard'    a robot's own command
   imrs run cell.cell --record run.imrs                to `imrs replay run.NODE.imrs --cell cell.cell`")]
     Run(RunArgs),

@@ -18,7 +18,7 @@ use crate::output::Output;
 use imrs_client::{cell_file, keys, place};
 use imrs_launch::cells::{self, Loaded, Source};
 use imrs_launch::{Keys, LaunchError, Run, record_file};
-use imrs_protocol::NodeId;
+use imrs_protocol::{NodeId, TaskId};
 use imrs_wire::files;
 use std::collections::BTreeMap;
 use std::env;
@@ -45,6 +45,7 @@ pub fn checked<'a>(args: &RunArgs, source: Source, loaded: &'a Loaded) -> Result
             let hint = did_you_mean(&bound.name, loaded.actions());
             return Err(Failure::Usage(format!("the cell has no action `{}`{hint}", bound.name)));
         }
+        runs_here(loaded, only, &bound.name)?;
         if let Some(program) = bound.words.first().filter(|program| !is_there(program)) {
             return Err(Failure::Usage(format!(
                 "--action {}: there is no program `{program}`: give its path, or put its folder into PATH",
@@ -59,6 +60,28 @@ pub fn checked<'a>(args: &RunArgs, source: Source, loaded: &'a Loaded) -> Result
         run.keys = Keys::Folder(folder_of_keys(cell, args, name)?);
     }
     Ok(Run { actions, ..run })
+}
+
+/// Refuses a command for an action that no task of the only node here runs: it would never be executed.
+fn runs_here(loaded: &Loaded, only: Option<NodeId>, action: &str) -> Result<(), Failure> {
+    let cell = loaded.table.cell();
+    let Some(only) = only else { return Ok(()) };
+    let node_of = |task: TaskId| cell.tasks[task.index()].node;
+    if loaded.tasks_with_action(action).any(|task| node_of(task) == only) {
+        return Ok(());
+    }
+    let there = loaded.tasks_with_action(action).map(|task| {
+        format!(
+            "task `{}` on node `{}`",
+            cell.tasks[task.index()].name,
+            cell.nodes[node_of(task).index()].name
+        )
+    });
+    Err(Failure::Usage(format!(
+        "--action {action}: node `{}` runs no task with this action, but {} does: give --action where that node is started",
+        cell.nodes[only.index()].name,
+        there.collect::<Vec<_>>().join(", ")
+    )))
 }
 
 /// The folder with the keys of a node that runs on its own: the folder that the user named, else the one beside the
@@ -107,9 +130,9 @@ pub fn chosen(loaded: &Loaded, args: &LaunchArgs) -> Result<Option<NodeId>, Fail
         }
     }
     let asks = args.observe_token.is_some() || args.observe_insecure;
-    if let Some(address) = args.observe.filter(|address| !asks && !address.ip().is_loopback()) {
+    if let Some(address) = args.observe.filter(|_| !asks) {
         return Err(Failure::Usage(format!(
-            "--observe {address}: any machine that reaches this address could watch the nodes, because no token is asked for. Add --observe-token FILE and give the monitor the same file (imrs monitor --connect tcp:{address} --token FILE), take a loopback address (an ssh tunnel leads there), or add --observe-insecure"
+            "--observe {address}: all who reach this address could watch the nodes, on a loopback address each user of this machine, because no token is asked for. Add --observe-token FILE and give the monitor the same file (imrs monitor --connect tcp:{address} --token FILE), or add --observe-insecure. For a monitor of your own on this machine leave --observe out: `imrs monitor` finds the nodes"
         )));
     }
     if let Some(only) = only {

@@ -109,6 +109,15 @@ impl Loaded {
         self.all_actions().map(|action| action.name.as_str())
     }
 
+    /// The tasks that may run an action of this name.
+    pub fn tasks_with_action(&self, name: &str) -> impl Iterator<Item = TaskId> {
+        let has_it = move |script: &Script| script.actions.iter().any(|action| action.name == name);
+        let scripts = self.scripts.iter().enumerate();
+        scripts.filter_map(move |(at, script)| {
+            script.as_ref().filter(|script| has_it(script)).map(|_| TaskId::from_index(at))
+        })
+    }
+
     /// For each action, the range from which a simulated result is drawn: the declared range if there is one; otherwise
     /// the range of the values with which the cell compares the result; without such values, a small default range.
     #[must_use]

@@ -57,9 +57,9 @@ pub enum ProgramError {
         "node `{0}` has no keys, and without them other processes could forge its packets: `imrs keygen CELL` makes them beside the cell file; call `keys(…)` if they are elsewhere, or `insecure()` for all nodes on a network of your own"
     )]
     NoKeys(String),
-    /// The observer's address is reachable from other machines, and monitors need no token.
+    /// Monitors at this TCP address need no token.
     #[error(
-        "monitors at {0}: any machine that reaches this address could watch, because no token is asked for; call `observe_token(…)`, or take a loopback address"
+        "monitors at {0}: all who reach this address could watch, on a loopback address each user of this machine, because no token is asked for; call `observe_token(…)`, or leave `observe(…)` out: `imrs monitor` on this machine finds the node"
     )]
     Watched(SocketAddr),
     /// The text is not a valid token.

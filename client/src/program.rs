@@ -199,8 +199,8 @@ impl Program {
         self
     }
 
-    /// Also serves monitors at this TCP address; several nodes get successive ports. An address off the loopback
-    /// requires [`observe_token`](Self::observe_token).
+    /// Also serves monitors at this TCP address; several nodes get successive ports. This requires
+    /// [`observe_token`](Self::observe_token).
     pub const fn observe(mut self, address: SocketAddr) -> Self {
         self.observe = Some(address);
         self
@@ -353,7 +353,7 @@ impl Program {
         if let Some(first) = self.observe {
             let address = place::observed_at(first, after);
             let token = self.token.as_deref().map(Token::of).transpose()?;
-            if token.is_none() && !address.ip().is_loopback() {
+            if token.is_none() {
                 return Err(ProgramError::Watched(address));
             }
             observers.push(Showing::new(Arc::clone(runtime.node())).token(token).start_tcp(address)?);

@@ -35,11 +35,13 @@ fn what_does_not_fit_the_cell_is_refused() {
 }
 
 #[test]
-fn monitors_of_other_machines_need_a_token() {
+fn monitors_over_tcp_need_a_token() {
     let watched = |program: Program| program.task("camera", |_| Ok(())).run(Some(Duration::from_millis(1)));
-    let open = || Program::open(cell()).expect("a cell").observe(([0, 0, 0, 0], 0).into());
-    assert!(matches!(watched(open()), Err(ProgramError::Watched(_))));
-    assert!(matches!(watched(open().observe_token("short")), Err(ProgramError::Token(_))));
+    for ip in [[0, 0, 0, 0], [127, 0, 0, 1]] {
+        let open = || Program::open(cell()).expect("a cell").observe((ip, 0).into());
+        assert!(matches!(watched(open()), Err(ProgramError::Watched(_))));
+        assert!(matches!(watched(open().observe_token("short")), Err(ProgramError::Token(_))));
+    }
 }
 
 /// The cell that the two programs share. Its nodes have an address that no other process uses.

@@ -189,6 +189,10 @@ const DECLARATIONS: &[Row] = &[
         "invariant property safety ltl ensure always",
         "`check apart: never a.inside and b.inside;` declares what must hold",
     ),
+    (
+        "key keys keyfile private_key public_key psk secret secrets password passwd token credential credentials",
+        "all nodes read this file, so it holds no key: `imrs keygen CELL` writes one file for each node beside it",
+    ),
     ("retain var_retain", "nothing is kept over a restart: all variables begin with zero or `false`"),
     (
         "deadline cycle period interval",

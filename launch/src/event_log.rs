@@ -43,7 +43,7 @@ impl<'a> EventLog<'a> {
             judge: Judge::new(loaded, &here),
             standing: Standing::new(loaded, here),
             trouble: TaskTrouble::new(Arc::clone(table), run.is_explained, run.loss > 0.0),
-            timeline: run.has_lines.then(|| Timeline::new(loaded, run.in_process)),
+            timeline: run.has_lines.then(|| Timeline::new(loaded, run.in_process, run.only.is_some())),
             events: run.is_explained.then(Events::default),
             began: 0,
             is_over: false,

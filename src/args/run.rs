@@ -55,13 +55,13 @@ pub struct LaunchArgs {
     /// Run without keys: then any process that reaches a node can forge its packets. All nodes must do the same.
     #[arg(long, conflicts_with = "in_process")]
     pub insecure: bool,
-    /// Also serve monitors over TCP. If there are several nodes, each takes the next port.
+    /// Also serve monitors over TCP, with --observe-token. If there are several nodes, each takes the next port.
     #[arg(long, value_name = "ADDR:PORT")]
     pub observe: Option<SocketAddr>,
     /// Over TCP, serve only monitors that have the token in this file (16 to 256 bytes).
     #[arg(long, value_name = "FILE", requires = "observe")]
     pub observe_token: Option<PathBuf>,
-    /// Serve monitors at an address off the loopback without a token.
+    /// Over TCP, serve all who reach the address, without a token.
     #[arg(long, requires = "observe", conflicts_with = "observe_token")]
     pub observe_insecure: bool,
     /// Run the nodes under SCHED_FIFO, with their memory locked, each on one core.

@@ -8,6 +8,7 @@ use crate::pipe::{Figures, Word};
 use crate::script_event::Did;
 use crate::words::span;
 use imrs_protocol::{NodeId, TaskId};
+use imrs_runtime::link::udp::WINDOW;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// An event is shown when it is this old, in microseconds. Nodes report events every few milliseconds, so by then no
@@ -39,6 +40,10 @@ pub struct Timeline<'a> {
     stopped: BTreeSet<(NodeId, NodeId)>,
     /// For each node, whether too many datagrams came that no node of the cell sent.
     alarms: Vec<Alarm>,
+    /// Whether this launcher runs one node of several.
+    is_alone: bool,
+    /// How many datagrams of ended sessions a node had dropped when a line last reported it, and when that was.
+    ended: (u64, u64),
 }
 
 /// A line that is not shown yet.
@@ -89,6 +94,7 @@ impl Fold for Timeline<'_> {
                 self.refusals(at, *node, figures);
                 self.links(at, *node, figures);
                 self.stops(at, *node, figures);
+                self.ended_sessions(at, *node, figures);
             }
             Fact::Said(node, Word::HeldBack(held)) => self.held_back(at, *node, held),
             Fact::Fault(fault) => self.add(at, Entry::Fault(self.fault(*fault))),
@@ -104,7 +110,7 @@ impl Fold for Timeline<'_> {
 
 impl<'a> Timeline<'a> {
     /// Makes the timeline of a run, before any event.
-    pub fn new(loaded: &'a Loaded, in_process: bool) -> Self {
+    pub fn new(loaded: &'a Loaded, in_process: bool, is_alone: bool) -> Self {
         Self {
             loaded,
             in_process,
@@ -116,6 +122,8 @@ impl<'a> Timeline<'a> {
             faults: BTreeMap::new(),
             stopped: BTreeSet::new(),
             alarms: vec![Alarm::default(); loaded.table.cell().nodes.len()],
+            is_alone,
+            ended: (0, 0),
         }
     }
 
@@ -232,6 +240,21 @@ impl<'a> Timeline<'a> {
         }
     }
 
+    /// Adds a line when a node that runs alone drops datagrams of an ended session, and not again for a while. A launcher of
+    /// all nodes says itself that it has started one of them again.
+    fn ended_sessions(&mut self, at: u64, node: NodeId, figures: &Figures) {
+        let dropped = figures.link_discards.get("stale_session").copied().unwrap_or_default();
+        let (told, told_at) = self.ended;
+        if self.is_alone && dropped > told && (told == 0 || at.saturating_sub(told_at) >= WINDOW) {
+            self.ended = (dropped, at);
+            let words = format!(
+                "node {} has dropped datagrams of an ended session ({dropped} stale_session): a neighbour was started again, or somebody repeats old datagrams",
+                self.name(node)
+            );
+            self.add(at, Entry::Fault(words));
+        }
+    }
+
     /// Adds a line for each script of a restarted node that is held back. The line says for how long.
     fn held_back(&mut self, at: u64, node: NodeId, held: &[(TaskId, u64)]) {
         let all = self.loaded.table.tasks_on(node).count() == held.len();
@@ -268,7 +291,7 @@ mod tests {
     #[test]
     fn a_task_that_is_busy_is_shown_in_part_and_what_is_left_out_is_counted() {
         let loaded = beam_lift();
-        let mut timeline = Timeline::new(&loaded, false);
+        let mut timeline = Timeline::new(&loaded, false, false);
         let shown = (0..50).filter(|at| timeline.pace(&did(*at, 0)).is_some()).count();
         assert_eq!(shown, usize::try_from(PER_SPAN).unwrap());
         assert_eq!(timeline.pace(&did(7, 1)), Some(0));
@@ -279,7 +302,7 @@ mod tests {
     #[test]
     fn lines_wait_until_nothing_earlier_can_come() {
         let loaded = beam_lift();
-        let mut timeline = Timeline::new(&loaded, false);
+        let mut timeline = Timeline::new(&loaded, false, false);
         for did in [did(200_000, 0), did(100_000, 1)] {
             timeline.take(did.at, &Fact::Said(NodeId(0), Word::Did(did)));
         }

@@ -1,5 +1,6 @@
 //! A flood of datagrams at a node's port costs its neighbours nothing, because each neighbour has a socket of its own (D155).
 
+use super::keys::{carried, keys, pair as pair_with_keys};
 use super::rig::{
     A, B, C, Memory, PATIENCE, cell, digests, encoded, envelope_of, link, packet, pair, raw_socket, sealed,
     sealed_for,
@@ -39,9 +40,9 @@ fn thrown() -> Vec<Vec<u8>> {
     ]
 }
 
-/// Sends `count` datagrams of the flood as fast as possible.
-fn flood(to: SocketAddr, count: usize) {
-    let (socket, thrown) = (raw_socket(), thrown());
+/// Sends `count` of these datagrams as fast as possible.
+fn flood(to: SocketAddr, count: usize, thrown: &[Vec<u8>]) {
+    let socket = raw_socket();
     for number in 0..count {
         // The kernel may refuse a send for lack of room. Then the flood cannot be faster.
         let _ = socket.send_to(&thrown[number % thrown.len()], to);
@@ -128,12 +129,12 @@ fn a_flood_from_elsewhere_loses_nothing_of_a_neighbour() {
     let silent = raw_socket();
     b.set_address(C, Some(silent.local_addr().unwrap())).unwrap();
     // No thread receives yet: the flood fills the socket at which it arrives, and then the neighbour sends.
-    flood(to, FILLS_A_SOCKET);
+    flood(to, FILLS_A_SOCKET, &thrown());
     let first = UNDER_WAY as u32 / 2;
     (1..=first).for_each(|number| assert_eq!(a.send(B, &[packet(number)]), Ok(1)));
     let stop = AtomicBool::new(false);
     let last = thread::scope(|scope| {
-        let flooding = scope.spawn(|| flood(to, FLOOD));
+        let flooding = scope.spawn(|| flood(to, FLOOD, &thrown()));
         let polling = scope.spawn(|| {
             while !stop.load(Ordering::Acquire) {
                 b.poll(&heard, Some(Instant::now() + PATIENCE));
@@ -170,7 +171,7 @@ fn a_flood_is_looked_at_in_turns_of_a_millisecond() {
     const VISIT: u64 = 16;
     const VISITS: u64 = 12;
     let (b, heard) = (link(B), Heard::default());
-    flood(b.local_address(), FILLS_A_SOCKET);
+    flood(b.local_address(), FILLS_A_SOCKET, &thrown());
     let start = Instant::now();
     let came = || b.count(UdpCount::DatagramsReceived) + b.count(UdpCount::GreetingsReceived);
     while came() < VISIT * VISITS {
@@ -185,4 +186,84 @@ fn a_flood_is_looked_at_in_turns_of_a_millisecond() {
     let end = b.poll(&heard, Some(Instant::now()));
     let since = discarded.elapsed();
     assert!(end == PollEnd::TimedOut || since >= Duration::from_millis(1), "{end:?} after {since:?}");
+}
+
+/// The request for a session that the node of `a` sends to B.
+fn request_of(a: &UdpLink) -> Vec<u8> {
+    let between = raw_socket();
+    between.set_read_timeout(Some(PATIENCE)).unwrap();
+    a.set_address(B, Some(between.local_addr().unwrap())).unwrap();
+    a.greet();
+    let mut bytes = vec![0; 2_000];
+    let length = between.recv(&mut bytes).unwrap();
+    bytes.truncate(length);
+    bytes
+}
+
+/// For a request that a stranger made up, a node with keys computes one hash. For a copy of a genuine request, it computes
+/// two more and may send a cookie.
+#[test]
+fn a_flood_of_requests_for_sessions_loses_nothing_of_a_neighbour() {
+    /// How many packets the neighbour sends, each some time after the one before.
+    const PACKETS: u32 = 2_000;
+    let (pause, most) = (Duration::from_micros(250), Duration::from_secs(60));
+    // The flood that goes elsewhere shows what the flood itself costs this machine, and the one of garbage what any flood
+    // costs the node.
+    let elsewhere = raw_socket();
+    for what in ["no flood", "elsewhere", "garbage", "requests"] {
+        let (a, b) = pair_with_keys(&keys());
+        let copy = request_of(&a);
+        a.set_address(B, Some(b.local_address())).unwrap();
+        carried(&a, &b, 1..2);
+        let mut made_up = copy.clone();
+        *made_up.last_mut().unwrap() ^= 1;
+        let (to, at_a, at_b, stop) =
+            (b.local_address(), Memory::default(), Heard::default(), AtomicBool::new(false));
+        let is_over = || stop.load(Ordering::Acquire);
+        let polls = |link: &UdpLink, sink: &dyn Sink| {
+            while !is_over() {
+                link.poll(sink, Some(Instant::now() + Duration::from_millis(20)));
+            }
+        };
+        let thrown = thread::scope(|scope| {
+            scope.spawn(|| polls(&a, &at_a));
+            scope.spawn(|| polls(&b, &at_b));
+            let flooding = scope.spawn(|| {
+                let mut thrown = 0;
+                let to = if what == "elsewhere" { elsewhere.local_addr().unwrap() } else { to };
+                let garbage = vec![vec![0x5a; copy.len()]];
+                let thrown_ones =
+                    if what == "garbage" { garbage } else { vec![copy.clone(), made_up.clone()] };
+                while what != "no flood" && !is_over() {
+                    flood(to, 1_000, &thrown_ones);
+                    thrown += 1_000;
+                }
+                thrown
+            });
+            for number in 1..=PACKETS {
+                while number as usize > at_b.count.load(Ordering::Acquire) + UNDER_WAY {
+                    thread::sleep(pause);
+                }
+                assert_eq!(a.send(B, &[packet(number)]), Ok(1));
+                // B hears A's echo of its clock, so it can measure A's next datagram.
+                assert_eq!(b.send(A, &[packet(number)]), Ok(1));
+                thread::sleep(pause);
+            }
+            let end = Instant::now() + most;
+            while at_b.count.load(Ordering::Acquire) < PACKETS as usize && Instant::now() < end {
+                thread::sleep(Duration::from_millis(1));
+            }
+            stop.store(true, Ordering::Release);
+            flooding.join().unwrap()
+        });
+        assert!(at_b.numbers.into_inner().unwrap().into_iter().eq(1..=PACKETS), "each came, in order");
+        let delay = b.health().iter().find(|report| report.peer == A).expect("a report").delay;
+        let (answers, dropped) = (b.count(UdpCount::HandshakesSent), b.count(UdpCount::StrangersDropped));
+        println!(
+            "{what}: {thrown} thrown, {answers} answers, {dropped} dropped by the kernel; A's datagrams: {delay:?}"
+        );
+        let mut connected = drops(to, 2);
+        connected.remove(UNCONNECTED);
+        assert!(connected.values().eq(&[0]), "the neighbour's socket: {connected:?}");
+    }
 }

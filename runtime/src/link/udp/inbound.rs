@@ -9,11 +9,14 @@ use super::UdpLink;
 use super::socket;
 use crate::link::residency::Reading;
 use crate::lock::lock;
+#[cfg(not(test))]
 use crate::sync::combining_lock::CombiningLock;
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+#[cfg(test)]
+use waiting_lock::CombiningLock;
 
 /// The number of the socket of strangers. The number of a neighbour's socket is the neighbour's position plus one.
 pub(super) const STRANGERS: u32 = 0;
@@ -123,5 +126,32 @@ impl UdpLink {
         self.leader.add(&socket, place)?;
         self.polling.add(&socket, place)?;
         Ok(Inbound::new(socket, Some(address), empty))
+    }
+}
+
+/// In unit tests, the primitives of the real lock work only within an exploration of schedules.
+#[cfg(test)]
+mod waiting_lock {
+    use crate::lock::lock;
+    use std::sync::Mutex;
+
+    pub struct CombiningLock<T>(Mutex<T>);
+
+    impl<T> CombiningLock<T> {
+        pub const fn new(inside: T) -> Self {
+            Self(Mutex::new(inside))
+        }
+
+        pub const fn want(&self) {
+            let _ = self;
+        }
+
+        pub fn take(&self, mut work: impl FnMut(&mut T)) {
+            work(&mut lock(&self.0));
+        }
+
+        pub fn take_after(&self, work: impl FnMut(&mut T)) {
+            self.take(work);
+        }
     }
 }

@@ -1,5 +1,10 @@
 //! A link whose datagrams are encrypted with keys (D191): the part of the sessions that needs sockets, clocks and threads.
 
+#[cfg(test)]
+mod renewed;
+#[cfg(test)]
+pub(super) mod rig;
+
 use super::keys::{Answer, Channel, Live, NoRandom, NodeKeys};
 use super::peer::{Peer, Route};
 use super::session::Known;
@@ -268,10 +273,12 @@ impl UdpLink {
             return;
         }
         self.note_refusal(peer, Refused::OtherVersion, self.digests(), true);
-        if let Some(channel) = &mut *lock(&peer.channel) {
-            channel.ask_now();
+        // Anybody can make such a datagram, so it must not end an attempt at a session.
+        let again = lock(&peer.channel).as_ref().and_then(Channel::hello_again);
+        match again {
+            Some(hello) => self.reply(peer, &hello),
+            None => self.say(peer, Greeting { wants_answer: true, ..Greeting::default() }, None),
         }
-        self.say(peer, Greeting { wants_answer: true, ..Greeting::default() }, None);
     }
 
     fn hint_at_mode(&self, sender: NodeId, theirs: Digests) {

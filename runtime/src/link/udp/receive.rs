@@ -1,5 +1,8 @@
 //! Receives datagrams: from a socket of the kernel to the sink of the node.
 
+#[cfg(test)]
+mod forged;
+
 use super::UdpLink;
 use super::inbound::{Inbound, Queue};
 use super::keys::Live;
@@ -134,6 +137,7 @@ impl UdpLink {
                         plain,
                         of: None,
                         greetings: 0,
+                        handshakes: 0,
                         admitted: 0,
                         sink,
                     };
@@ -203,8 +207,9 @@ pub(super) struct Together<'a> {
     plain: &'a mut Box<[u8]>,
     /// The sender of the packets in `decoded`, and their charge.
     of: Option<(NodeId, Ticks)>,
-    /// How many of the datagrams were greetings.
+    /// How many of the datagrams were greetings, and how many belonged to handshakes: anybody can repeat those.
     greetings: u64,
+    handshakes: u64,
     /// How many of the datagrams brought packets that the sink gets.
     admitted: u64,
     pub(super) sink: &'a dyn Sink,
@@ -220,15 +225,14 @@ impl Together<'_> {
         let mut count = 0;
         for bytes in received.datagrams() {
             count += 1;
-            if let Err(reason) = self.take(bytes) {
-                if let Some(from) = self.from {
-                    self.link.discarded_of(from, reason, &self.now);
-                }
-                self.sink.discarded(reason);
+            let Err(reason) = self.take(bytes) else { continue };
+            if let Some(from) = self.from {
+                self.link.discarded_of(from, reason, &self.now);
             }
+            self.sink.discarded(reason);
         }
         self.hand_over();
-        self.link.statistics.add(UdpCount::DatagramsReceived, count - self.greetings);
+        self.link.statistics.add(UdpCount::DatagramsReceived, count - self.greetings - self.handshakes);
         if count > 1 {
             self.link.statistics.add(UdpCount::ReceivesSaved, count - 1);
         }
@@ -245,7 +249,7 @@ impl Together<'_> {
         let taken = match self.link.unlock(bytes, &mut room) {
             Ok(Some((opened, live))) => self.take_opened(&opened, live.as_ref()),
             Ok(None) => {
-                self.greetings += 1;
+                self.handshakes += 1;
                 Ok(())
             }
             Err(reason) => Err(reason),
@@ -279,11 +283,8 @@ impl Together<'_> {
         let contact = judged.map_err(|unheard| {
             if unheard.asks {
                 link.statistics.add(UdpCount::EchoesAsked, 1);
-                link.say(
-                    peer,
-                    Greeting { wants_answer: true, ..Greeting::default() },
-                    Some(Heard::of(envelope, at)),
-                );
+                let asks = Greeting { wants_answer: true, ..Greeting::default() };
+                link.say(peer, asks, Some(Heard::of(envelope, at)));
             }
             unheard.reason
         })?;

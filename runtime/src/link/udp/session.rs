@@ -20,6 +20,7 @@ use imrs_wire::envelope::{Envelope, Purpose, ReplayWindow, Session, supersedes};
 
 /// The session of a neighbour from which datagrams are accepted, as the receiving threads know it. Times are of this node's
 /// clock.
+#[derive(Debug)]
 pub(super) struct Known {
     pub(super) session: Session,
     incarnation: Incarnation,

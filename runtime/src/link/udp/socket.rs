@@ -67,6 +67,12 @@ pub(super) struct Received<'a> {
 }
 
 impl<'a> Received<'a> {
+    /// What a call gives that brings these bytes, as datagrams of this length, and no stamp.
+    #[cfg(test)]
+    pub(super) const fn of(bytes: &'a [u8], segment: usize) -> Self {
+        Self { bytes, segment, stamp: None, dropped: None }
+    }
+
     /// The single datagrams, in order. An empty datagram counts, too.
     pub(super) fn datagrams(&self) -> impl Iterator<Item = &'a [u8]> + use<'a> {
         let (first, others) = self.bytes.split_at(self.segment.min(self.bytes.len()));

@@ -1,5 +1,6 @@
 //! The sessions of a node with one neighbour, and how they are made.
 
+use super::live::REPLACE_AFTER;
 use super::sessions::Sessions;
 use super::{KEY_BYTES, Live, NoRandom, NodeKeys, SecretKey, is_tag, primitives, tag};
 use crate::link::LinkDiscard;
@@ -45,13 +46,15 @@ pub(in crate::link::udp) struct Channel {
     place: u16,
     /// The lower half of the last session index. The first one is random, so that an index of an earlier
     /// start is most likely no index of this start.
-    indices: u16,
+    pub(super) indices: u16,
     pub(super) sessions: Sessions,
+    /// The age at which this node replaces a session that it asked for, in microseconds.
+    pub(in crate::link::udp) replace_after: u64,
     pub(super) making: Option<Making>,
     /// When the present attempt at a session began, and how long it may take.
     pub(super) tried: Option<(u64, u64)>,
     /// When the neighbour was last greeted again, and after how long the next greeting is due.
-    greeted: Option<(u64, u64)>,
+    pub(super) greeted: Option<(u64, u64)>,
     /// How many first datagrams of handshakes came that another cell's key closed, since one that this cell's key closed.
     strange: u8,
     pub(super) answered: VecDeque<(Nonce, HandshakeBytes)>,
@@ -59,9 +62,9 @@ pub(in crate::link::udp) struct Channel {
 
 /// An attempt at a session that this node has begun.
 pub(super) struct Making {
-    nonce: Nonce,
+    pub(super) nonce: Nonce,
     /// The Noise handshake and the index of the session, once the neighbour's cookie has arrived.
-    noise: Option<(Box<HandshakeState>, u32)>,
+    pub(super) noise: Option<(Box<HandshakeState>, u32)>,
 }
 
 /// The effect of a datagram of a handshake.
@@ -111,6 +114,7 @@ impl Channel {
             place,
             indices: u16::from_le_bytes(indices),
             sessions: Sessions::new(),
+            replace_after: REPLACE_AFTER,
             making: None,
             tried: None,
             greeted: None,
@@ -164,12 +168,12 @@ impl Channel {
     /// Whether a new session should be made before the datagram with this counter is sent.
     pub(in crate::link::udp) fn wants(&mut self, now: u64, counter: u64) -> bool {
         self.sessions.retire(now);
-        self.sending().is_none_or(|live| live.is_old(now, counter))
+        self.sending().is_none_or(|live| live.is_old(now, counter, self.replace_after))
     }
 
-    /// Ends the wait for an answer to the present attempt.
-    pub(in crate::link::udp) const fn ask_now(&mut self) {
-        self.tried = None;
+    /// The request of the present attempt, to be sent once more. The attempt goes on.
+    pub(in crate::link::udp) fn hello_again(&self) -> Option<HandshakeBytes> {
+        self.making.as_ref().map(|making| self.close(making.nonce, Step::Hello(self.digests)))
     }
 
     /// Begins an attempt at a session, unless one is under way.

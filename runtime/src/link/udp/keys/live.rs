@@ -11,7 +11,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// The age at which the initiator of a session replaces it, in microseconds.
-const REPLACE_AFTER: u64 = 3_600_000_000;
+pub(super) const REPLACE_AFTER: u64 = 3_600_000_000;
 /// How much longer the responder of a session waits before it replaces the session itself, in microseconds.
 const PATIENCE: u64 = 60_000_000;
 /// The number of datagrams after which a session is replaced.
@@ -107,6 +107,7 @@ impl Live {
         Ok(keyed::open(&room[..length], counter, &self.bound)?)
     }
 
+    /// When the neighbour was first heard, and the counters that came.
     #[cfg(test)]
     pub(super) fn state(&self) -> (u64, ReplayWindow) {
         (self.heard.load(Ordering::Acquire), lock(&self.window).clone())
@@ -159,9 +160,10 @@ impl Live {
         if one == two { is_later(of_lower(self), of_lower(other)) } else { is_later(one, two) }
     }
 
-    /// Whether it is time to replace the session, if the next datagram has this counter.
-    pub(super) fn is_old(&self, now: u64, counter: u64) -> bool {
-        let after = if self.is_initiator { REPLACE_AFTER } else { REPLACE_AFTER + PATIENCE };
+    /// Whether it is time to replace the session, if the next datagram has this counter. The initiator replaces it at
+    /// the age `after`.
+    pub(super) fn is_old(&self, now: u64, counter: u64, after: u64) -> bool {
+        let after = if self.is_initiator { after } else { after + PATIENCE };
         let first = self.first.load(Ordering::Relaxed);
         let after = if self.is_unanswered() { ANSWERED_WITHIN } else { after };
         now.saturating_sub(self.born) >= after || counter.saturating_sub(first) >= REPLACE_AFTER_DATAGRAMS

@@ -94,6 +94,18 @@ impl End {
     }
 }
 
+#[cfg(test)]
+impl Channel {
+    /// Everything that a datagram might change here, except the hints for people.
+    pub(in crate::link::udp) fn state(&self) -> String {
+        let windows: Vec<_> = self.sessions.iter().map(|live| (live, live.state())).collect();
+        let making =
+            self.making.as_ref().map(|making| (making.nonce, making.noise.as_ref().map(|noise| noise.1)));
+        let (asked, answered) = ((self.tried, self.greeted, self.indices), self.answered.len());
+        format!("{windows:?} {making:?} {asked:?} {answered}")
+    }
+}
+
 /// Makes a session without any loss; the first node asks for it. Returns all datagrams.
 #[cfg(test)]
 pub(super) fn acquainted(ends: &mut [End; 2], now: u64) -> Vec<(usize, Vec<u8>)> {
