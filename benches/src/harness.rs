@@ -1,7 +1,8 @@
 //! Measures in rounds: every case once, then every case again. A ratio compares two cases of one round, so that other load on
 //! the machine affects both. The result is the median of the rounds' ratios.
 //!
-//! A round of a case on two processors counts only if the distance between the two did not change during the round. A
+//! A round of a case on two processors counts only if the two were as near to each other after it as before: two threads of one core
+//! share a cache, two cores do not. A
 //! row is decided only if its rounds agree ([`judge`](crate::judge)); otherwise it is measured again, at most [`AGAIN`]
 //! times.
 

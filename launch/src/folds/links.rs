@@ -36,7 +36,7 @@ pub fn link_warnings(link: &LinkSummary, to: &str) -> Vec<String> {
     match link.margin {
         Margin::Enough => {}
         Margin::Near => words.push(format!(
-            "link {from} -> {to}: 99 of 100 datagrams took at most {p99}, which comes near its declared {bound}"
+            "link {from} -> {to}: 99 of 100 datagrams took at most {p99}, as far as this node can tell, and its declared bound is {bound}"
         )),
         Margin::Exceeded => words.push(format!(
             "link {from} -> {to}: {} of {} took longer than its declared {bound}, which the checks rely on",
@@ -172,7 +172,9 @@ mod tests {
         assert_eq!(told(&report(500, 5, bound / 2)), ("enough".into(), String::new()));
         let (margin, words) = told(&report(500, 5, bound));
         assert!(
-            margin == "near" && words.contains("link nr -> nl") && words.contains("comes near"),
+            margin == "near"
+                && words.contains("link nr -> nl")
+                && words.contains("as far as this node can tell"),
             "{words}"
         );
         let (margin, words) = told(&report(500, 6, bound));

@@ -149,7 +149,7 @@ impl Origin {
                 let until = end.passed;
                 let read = if read.is_empty() { String::new() } else { format!(" ({})", read.join(", ")) };
                 format!(
-                    "; what leads to it was so at tick {since}{read}, what it leads to was not by tick {until}"
+                    "; its condition held at tick {since}{read}, and what must follow did not by tick {until}"
                 )
             }
             (Holds::Always(_), _) if end.mixed.iter().any(|(of, _)| Some(*of) == self.check) => {

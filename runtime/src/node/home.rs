@@ -41,7 +41,7 @@ impl Home {
     }
 }
 
-/// The homes of all communication tasks of a node.
+/// For each communication task of a node: the domain in whose lock it lies, and its position there.
 #[derive(Debug)]
 pub(crate) struct Homes {
     /// The home of each task of the cell; `None` for tasks of other nodes.
