@@ -143,7 +143,7 @@ fn a_machine_of_the_guide_starts_again_in_its_next_incarnation() {
     wait_until("the node is gone", || !is_alive(pid));
     let mut again = site.start("watching");
     again.read_until(|line| line.contains("held back "));
-    assert_eq!(site.incarnation(), "1");
+    wait_until("the start is counted", || site.incarnation() == "1");
     let [feeding, pressing] = [feeding, pressing].map(Program::finish);
     again.interrupt();
     let said: [Said; 3] = [feeding, pressing, again.finish()];

@@ -77,10 +77,9 @@ fn cell() -> String {
 fn pair(seed: u64, standby: &How, mut fault: impl FnMut(&mut Net), end: impl FnOnce(&mut Net)) -> Trial {
     let mut net = Net::new(&cell(), &["n1", "n2"], seed);
     let dir = net.dir.path().to_owned();
-    let actions = ["weld_primary", "weld_standby"].map(|name| command(name, &dir, Bound::Both, WELD));
-    let args: Vec<String> = actions.into_iter().flat_map(|action| ["--action".into(), action]).collect();
-    net.start(STANDBY, &How { args: args.clone(), ..standby.clone() });
-    net.start(PRIMARY, &How { args, ..How::default() });
+    let action = |name| vec!["--action".into(), command(name, &dir, Bound::Both, WELD)];
+    net.start(STANDBY, &How { args: action("weld_standby"), ..standby.clone() });
+    net.start(PRIMARY, &How { args: action("weld_primary"), ..How::default() });
     let acts = |least: usize| log_of(&dir).iter().filter(|line| line.acts).count() >= least;
     wait_until("the primary acts", || acts(20));
     // The delay is random, so that the fault can come at any time of the lease.
