@@ -1,9 +1,10 @@
 //! The guide's chapter on three machines, on three hosts: each has a folder of its own with what the chapter says that a machine needs.
 
 use super::hosts::{Hosts, are_possible};
+use super::net::wait_until_gone;
 use crate::front_door::blocks;
 use crate::support::program::Program;
-use crate::support::{Said, imrs, is_alive, number, runtime_dir, signal, wait_until};
+use crate::support::{Said, imrs, number, runtime_dir, signal};
 use rustix::process::Signal;
 use std::fs;
 use std::path::Path;
@@ -140,10 +141,10 @@ fn a_machine_of_the_guide_starts_again_in_its_next_incarnation() {
         signal(pid, Signal::KILL);
     }
     drop(watching);
-    wait_until("the node is gone", || !is_alive(pid));
+    wait_until_gone(pid);
     let mut again = site.start("watching");
     again.read_until(|line| line.contains("held back "));
-    wait_until("the start is counted", || site.incarnation() == "1");
+    assert_eq!(site.incarnation(), "1");
     let [feeding, pressing] = [feeding, pressing].map(Program::finish);
     again.interrupt();
     let said: [Said; 3] = [feeding, pressing, again.finish()];

@@ -184,10 +184,7 @@ impl Net {
         let node = self.nodes.remove(at);
         node.program.iter().for_each(|launcher| signal(launcher.pid(), Signal::KILL));
         signal(node.pid, Signal::KILL);
-        // The threads of a killed node end one by one. Only when the last one has ended are the node's port and the
-        // lock of its state free.
-        let threads = || std::fs::read_dir(format!("/proc/{}/task", node.pid)).map_or(0, Iterator::count);
-        wait_until("the node is gone", || !is_alive(node.pid) && threads() <= 1);
+        wait_until_gone(node.pid);
     }
 
     /// Stops the node on this host in order. Returns its output.
@@ -269,4 +266,11 @@ impl Up {
     fn finish(mut self) -> Said {
         self.program.take().expect("a program").finish()
     }
+}
+
+/// Waits until a killed node has left its port and the lock of its state. The threads of a killed process end one by one, and only the
+/// last one leaves them.
+pub fn wait_until_gone(pid: u32) {
+    let threads = || std::fs::read_dir(format!("/proc/{pid}/task")).map_or(0, Iterator::count);
+    wait_until("the node is gone", || !is_alive(pid) && threads() <= 1);
 }

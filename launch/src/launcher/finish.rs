@@ -17,6 +17,8 @@ use std::time::{Duration, Instant};
 
 /// How long the nodes may take to stop.
 const STOP_WITHIN: Duration = Duration::from_secs(5);
+/// How long the launcher still reads what nodes reported before they ended.
+const READ_WITHIN: Duration = Duration::from_secs(2);
 
 /// A run that has ended.
 pub struct Ended<'a> {
@@ -140,8 +142,11 @@ impl<'a> Launcher<'a> {
             }
         }
         let ends = self.children.wait(deadline.saturating_duration_since(Instant::now()) + EXIT_WITHIN);
+        // A node may have ended before a thread of this process has read the node's last reports from the pipe.
+        let deadline = Instant::now() + READ_WITHIN;
         while !self.log.standing.is_gone()
-            && let Ok(message) = self.messages.try_recv()
+            && let Ok(message) =
+                self.messages.recv_timeout(deadline.saturating_duration_since(Instant::now()))
         {
             self.take(message);
         }
