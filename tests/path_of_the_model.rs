@@ -6,7 +6,7 @@ mod stopped;
 mod unsent;
 
 use crate::support::program::{all_of, one_after_the_other, times};
-use crate::support::{Said, excused, run_in, runtime_dir, side_by_side, tape};
+use crate::support::{Said, excused, run_in, runtime_dir, side_by_side, tape, tried};
 use imrs_protocol::{Input, Kind, Packet, Seq24, Ticks};
 use imrs_wire::recording::{Record, ScriptStep};
 use recorded::{Recorded, is_path, no_path, number, path_of};
@@ -51,11 +51,11 @@ fn a_beam_lift_is_a_path_of_the_model() {
 #[test]
 fn a_weld_is_a_path_of_the_model() {
     side_by_side([IN_PROCESSES, IN_ONE], |how| {
-        let run = Recorded::of(WELD, how, times(1, " begins weld"));
-        let Some(told) = path_of(&run) else { return };
-        // On a late machine r1 may lose its lease at once, and then its heartbeats end.
-        let is_cut_short = run.said.contains("has lost the lease") || number(&told, "late_at_most") > 100;
-        assert!(is_cut_short || number(&told, "inputs") > 50 && number(&told, "turns") > 10, "{told}");
+        // On a late machine r1 may lose its lease at once, or begin to weld when few heartbeats have come through.
+        tried("r1 began to weld without enough heartbeats", || {
+            let run = Recorded::of(WELD, how, times(1, " begins weld"));
+            path_of(&run).is_some_and(|told| number(&told, "inputs") > 50 && number(&told, "turns") > 10)
+        });
     });
 }
 
@@ -80,14 +80,12 @@ fn welds_with_faults_are_paths_of_the_model() {
         (&["--kill", "r1@1500ms"], &[" s fault: node", "TAKES OVER"]),
     ];
     side_by_side(in_both_ways(cases), |((fault, until), how)| {
-        let run = Recorded::of(WELD, &[how, fault].concat(), all_of(until));
-        let Some(told) = path_of(&run) else { return };
-        let lost = told["lost"].as_array().expect("links");
         // On a late machine r1 may lose its lease before the fault comes, or get none in time, and then there are no heartbeats
         // that the fault could take.
-        let too_late = number(&told, "late_at_most") > 100
-            || run.said.find("has lost the lease").is_some_and(|at| run.said[at..].contains(" s fault: n"));
-        assert!(too_late || !lost.is_empty(), "{fault:?}: {told}");
+        tried(&format!("{fault:?} took no heartbeat"), || {
+            let run = Recorded::of(WELD, &[how, fault].concat(), all_of(until));
+            path_of(&run).is_some_and(|told| !told["lost"].as_array().expect("links").is_empty())
+        });
     });
 }
 

@@ -318,16 +318,16 @@ fn robots_that_reach_each_other_through_a_third_node_are_relayed() {
     side_by_side([&[][..], &["--in-process"]], |how: &[&str]| {
         let dir = runtime_dir();
         let live = Live::start(dir.path(), &[&["run", &weld, "--seed", "3"], how].concat());
-        // r1 and r2 exchange queries every few milliseconds, and only nt connects them.
+        // r1 and r2 exchange queries every few milliseconds, and only nt connects them. On a late machine both give up soon.
         let is_passed = |seen: &Value, node: &str, least: u64| {
             named(&seen["nodes"], node)["transit"]["forwarded"].as_u64() >= Some(least)
         };
         live.until("packets are passed on", |seen| {
-            is_passed(seen, "nt", 20) && is_passed(seen, "n1", 1) && is_passed(seen, "n2", 1)
+            is_passed(seen, "nt", 5) && is_passed(seen, "n1", 1) && is_passed(seen, "n2", 1)
         });
         live.interrupt();
         let (summary, ..) = live.finish();
-        assert!(number(&node(&summary, "nt")["forwarded"]) >= 20, "{summary}");
+        assert!(number(&node(&summary, "nt")["forwarded"]) >= 5, "{summary}");
         for robot in ["n1", "n2"] {
             assert!(number(&node(&summary, robot)["forwarded"]) > 0, "{summary}");
         }

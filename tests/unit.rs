@@ -31,6 +31,8 @@ fn told(manager: &UnixDatagram, within: Duration) -> Option<String> {
     match manager.recv(&mut bytes) {
         Ok(length) => Some(String::from_utf8_lossy(&bytes[..length]).into_owned()),
         Err(error) if [ErrorKind::WouldBlock, ErrorKind::TimedOut].contains(&error.kind()) => None,
+        // The kernel's freezer or a debugger stopped this process meanwhile.
+        Err(error) if error.kind() == ErrorKind::Interrupted => told(manager, within),
         Err(error) => panic!("the manager's socket: {error}"),
     }
 }

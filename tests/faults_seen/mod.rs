@@ -100,7 +100,8 @@ fn a_stopped_node_is_silent_until_it_goes_on() {
     scene.is_calm_for(Duration::from_secs(1));
     let (since, pid) = (Instant::now(), scene.node("nb").pid);
     signal(pid, Signal::STOP);
-    scene.raises(since, "node-silent", &["time-outs"]);
+    // On a late machine the node is silent for so long that the partners' waitfor nearly times out.
+    scene.raises(since, "node-silent", &["time-outs", "rendezvous-stuck"]);
     signal(pid, Signal::CONT);
     scene.is_over("it is silent", |codes| !codes.contains("node-silent"));
 }

@@ -66,28 +66,15 @@ fn a_filter_a_mark_a_pause_and_a_theme_are_seen() {
 #[test]
 fn clicks_hit_what_the_terminal_shows() {
     let Some((_demo, terminal)) = watched("") else { return };
-    let click = |line: usize, column: usize| {
-        // A press of the left button, in the form in which terminals report it; rows and columns count from one.
-        let press = format!("\u{1b}[<0;{};{}M", column + 1, line + 1);
-        terminal.keys(&["-l", &press]);
-    };
-    let place = |screen: &str, word: &str| {
-        let line = screen.lines().position(|line| line.contains(word)).expect(word);
-        let before = screen.lines().nth(line).unwrap_or("").split(word).next().unwrap_or("");
-        (line, before.chars().count())
-    };
-    let (line, column) = place(&terminal.screen(), " 6 ");
-    click(line, column);
-    terminal.wait_for("the events", |screen| screen.contains("[6 Events]") && screen.contains("DETAIL"));
-    let (line, column) = place(&terminal.screen(), " 1 ");
-    click(line, column);
-    let overview =
-        terminal.wait_for("the overview", |screen| screen.contains("[1 Over]") && screen.contains("hoist  "));
+    terminal
+        .click("6 Events", "the events", |screen| screen.contains("[6 Events]") && screen.contains("DETAIL"));
+    let is_row_of_hoist = |line: &str| line.contains("hoist  ");
+    terminal.click("1 Over", "the overview", |screen| {
+        screen.contains("[1 Over]") && screen.lines().any(is_row_of_hoist)
+    });
     // The banner may name the hoist, too, but with its node.
-    let (line, column) = place(&overview, "hoist  ");
-    click(line, column);
-    terminal.wait_for("the selected row", |screen| {
-        screen.lines().nth(line).is_some_and(|row| row.starts_with('>') && row.contains("hoist"))
+    terminal.click("hoist  ", "the selected row", |screen| {
+        screen.lines().any(|line| line.starts_with('>') && is_row_of_hoist(line))
     });
     terminal.leave();
 }

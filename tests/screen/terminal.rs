@@ -27,17 +27,22 @@ pub fn watched(environment: &str) -> Option<(Live, Terminal)> {
 
 /// A terminal with a shell in it.
 pub struct Terminal {
-    server: String,
+    /// The socket of the tmux server. It lies in the folder, and goes with it.
+    socket: PathBuf,
     folder: PathBuf,
 }
+
+/// How often a test looks at the screen while it waits.
+const LOOK_EVERY: Duration = Duration::from_millis(30);
+/// How long a click may take to show an effect, before the test clicks again. A second click on a row opens it.
+const BETWEEN_CLICKS: Duration = Duration::from_secs(10);
 
 static TERMINALS: AtomicU32 = AtomicU32::new(0);
 
 impl Terminal {
     pub fn open(folder: &Path) -> Self {
         let number = TERMINALS.fetch_add(1, Ordering::Relaxed);
-        let server = format!("imrs-test-{}-{number}", std::process::id());
-        let terminal = Self { server, folder: folder.to_owned() };
+        let terminal = Self { socket: folder.join(format!("tmux-{number}")), folder: folder.to_owned() };
         terminal.tmux(&["new-session", "-d", "-x", "120", "-y", "40", "env", "PS1=ready> ", "sh"]);
         terminal.wait_for("the shell", |screen| screen.contains("ready>"));
         terminal
@@ -45,7 +50,7 @@ impl Terminal {
 
     pub fn try_tmux(&self, args: &[&str]) -> Output {
         let mut command = Command::new("tmux");
-        command.args(["-L", &self.server, "-f", "/dev/null"]).args(args);
+        command.arg("-S").arg(&self.socket).args(["-f", "/dev/null"]).args(args);
         command.env_remove("TMUX").env("LC_ALL", "C.UTF-8").output().expect("tmux")
     }
 
@@ -94,7 +99,7 @@ impl Terminal {
                 return screen;
             }
             assert!(Instant::now() < end, "waited in vain for {what}:\n{screen}");
-            thread::sleep(Duration::from_millis(30));
+            thread::sleep(LOOK_EVERY);
         }
     }
 
@@ -138,6 +143,29 @@ impl Terminal {
     pub fn press(&self, keys: &[&str], shows: &str) -> String {
         self.keys(keys);
         self.wait_for(shows, |screen| screen.contains(shows))
+    }
+
+    /// Clicks on this word until the screen is as wanted. The word may move between the look at the screen and the click:
+    /// on a late machine, warnings come and go in the lines above it.
+    pub fn click(&self, word: &str, what: &str, is_there: impl Fn(&str) -> bool) {
+        let end = Instant::now() + PATIENCE;
+        loop {
+            let screen = self.screen();
+            let at = (screen.lines().enumerate())
+                .find_map(|(y, line)| line.split_once(word).map(|(before, _)| (y, before.chars().count())));
+            if let Some((y, x)) = at {
+                // A press of the left button, in the form in which terminals report it; rows and columns count from one.
+                self.keys(&["-l", &format!("\u{1b}[<0;{};{}M", x + 1, y + 1)]);
+            }
+            let again = Instant::now() + BETWEEN_CLICKS;
+            while Instant::now() < again {
+                if is_there(&self.screen()) {
+                    return;
+                }
+                thread::sleep(LOOK_EVERY);
+            }
+            assert!(Instant::now() < end, "clicks on `{word}` never showed {what}:\n{}", self.screen());
+        }
     }
 
     /// The process id of the monitor, which is the only child of the shell.
