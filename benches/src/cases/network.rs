@@ -148,7 +148,7 @@ pub fn two_links(table: &Arc<CellTable>, closing: Closing) -> [UdpLink; 2] {
 }
 
 /// The builders of the two nodes.
-fn two_nodes(table: &Arc<CellTable>, closing: Closing) -> [Builder; 2] {
+pub fn two_nodes(table: &Arc<CellTable>, closing: Closing) -> [Builder; 2] {
     let mut nodes = [NodeId(0), NodeId(1)].into_iter();
     two_links(table, closing).map(|link| {
         let node = nodes.next().expect("as many as links");
