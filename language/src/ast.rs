@@ -81,7 +81,7 @@ pub struct LinkDecl {
     pub b: Name,
     /// The longest delay of a packet that is not lost (D20).
     pub delay: Duration,
-    /// How many packets the link carries in a time.
+    /// How many packets the link carries at most in each period.
     pub capacity: Option<Rate>,
     /// The link's span.
     pub span: Span,

@@ -16,9 +16,9 @@ pub struct Compared {
     pub arrivals: u64,
     /// The number of these arrivals that were the last member's, so that all members were released.
     pub meetings: u64,
-    /// GETs of a task that no handler could interrupt.
+    /// The number of GETs of a task that no handler could interrupt.
     pub gets: u64,
-    /// Answers, each with the GET that the task makes next.
+    /// The number of answers that were compared together with the GET that the task makes next.
     pub pairs: u64,
     /// The number of these messages that were queries.
     pub queries: u64,

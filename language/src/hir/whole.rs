@@ -55,7 +55,7 @@ pub struct Link {
     pub b: NodeId,
     /// The longest delay of a packet that is not lost (D20).
     pub delay: Duration,
-    /// How many packets the link carries in a time, if the cell says so.
+    /// The most packets that the link carries in each period of this length, if the cell declares it.
     pub capacity: Option<(u16, Duration)>,
     /// The link's span.
     pub span: Span,

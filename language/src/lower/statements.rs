@@ -161,7 +161,7 @@ impl<'h> Writer<'h, '_> {
         self.loops.pop();
     }
 
-    /// Emits an `order`. The silence of a port ranks just behind the port (D86).
+    /// Emits an `order`. The timer of an `on silence` handler ranks just behind the handler's port (D86).
     fn order(&mut self, named: &[Ranked]) {
         let mut ranked = Vec::new();
         for &level in named {

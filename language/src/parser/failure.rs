@@ -170,7 +170,7 @@ pub(super) fn unexpected(expected: &[Expected], found: &Found<'_>, end: &str) ->
     diagnostic.label(format!("expected {wanted}")).help(help)
 }
 
-/// The diagnostic for a line of another language behind the head of a task, or for its kind of type behind `is`.
+/// The diagnostic for a line of another language in the head of a task, or for a type of another language after `is`.
 fn foreign_line(expected: &[Expected], found: &Found<'_>, end: &str) -> Option<Diagnostic> {
     let wants_record = expected.contains(&Expected::Token(Kind::Word(Word::Record)));
     let (wanted, help) = match found.kind {

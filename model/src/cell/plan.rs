@@ -6,7 +6,7 @@ use imrs_protocol::{CellTable, NodeId, Rate, TaskId, Ticks};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// [`CellPlan::zones`] if nothing else is set. In the examples, fewer make searches longer as often as shorter.
+/// The default of [`CellPlan::zones`]. In searches of the examples, fewer zones cost time as often as they save it.
 const MOST_ZONES: usize = 64;
 
 /// What a task does.
@@ -170,11 +170,10 @@ impl Budget {
 /// packets, from one tick to their link's bound.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Times {
-    /// All times, if that takes at most three quarters of the seconds of the budget: as with [`Every`](Self::Every) if that
-    /// takes at most [`AUTO_STATES`](Self::AUTO_STATES) states, with faults
-    /// [`AUTO_STATES_WITH_FAULTS`](Self::AUTO_STATES_WITH_FAULTS), and else as with [`Zones`](Self::Zones). If neither ends in
-    /// that time: as with [`Ends`](Self::Ends). Zones do not cover pauses and drift; then `Every` and
-    /// [`Between`](Self::Between) are tried within these limits.
+    /// Tries all times first, and [`Ends`](Self::Ends) if that does not finish within three quarters of the budget's
+    /// seconds. All times are tried as [`Every`](Self::Every), up to [`AUTO_STATES`](Self::AUTO_STATES) states, or
+    /// [`AUTO_STATES_WITH_FAULTS`](Self::AUTO_STATES_WITH_FAULTS) with faults; then as [`Zones`](Self::Zones). Zones do
+    /// not cover pauses and drift: then `Every` and [`Between`](Self::Between) are tried.
     #[default]
     Auto,
     /// Actions end at their least or most time, packets arrive at their bound.
@@ -227,7 +226,8 @@ pub struct CellPlan {
     pub jobs: usize,
     /// What charts show of the cell's text. The verdict does not depend on it.
     pub legend: Legend,
-    /// The tasks whose bodies are outside the cell. They have got programs that try any use of their ports.
+    /// The tasks whose bodies are outside the cell. `outside::with_programs` gave them programs that try any use of
+    /// their ports.
     pub(super) outside: Vec<usize>,
     /// The independent part that is searched; `None` stands for the whole cell.
     pub(super) part: Option<Part>,

@@ -111,8 +111,8 @@ pub(super) const fn is_outside(step: CellMove) -> bool {
 }
 
 /// Explores a standstill and reports what repeats in it. Returns `None` if no task waits for others, if some path makes
-/// progress after all, or if the standstill has too many states. `idle` collects the core fingerprints of states from which
-/// no task waits.
+/// progress after all, or if the standstill has too many states. If no task waits for others, `idle` gets the core
+/// fingerprints of the standstill's states.
 pub(super) fn tell(
     plan: &Arc<CellPlan>,
     (phase, hypothesis): (Phase, usize),

@@ -171,7 +171,7 @@ pub struct Finding {
     /// Other tasks with the same statements, each with the same finding.
     #[serde(default)]
     pub also: Vec<TaskId>,
-    /// The operation in the task's program at which it was made.
+    /// The operation of the task's program at which the finding was made.
     pub address: Option<Address>,
     /// The check that the finding is about, by its position.
     pub check: Option<usize>,
@@ -232,7 +232,7 @@ pub struct Coverage {
     /// The states that the search had found but not expanded when the budget ended it.
     #[serde(default)]
     pub unfinished: Option<Unfinished>,
-    /// A search of the same phase at finer times, which a budget ended before.
+    /// An earlier search of the same phase at finer times, which a budget ended.
     #[serde(default)]
     pub finer: Option<Box<Coverage>>,
     /// The number of bytes of the longest packed state.

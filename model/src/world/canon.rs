@@ -46,7 +46,7 @@ impl World {
         while at < bytes.len() {
             let (mut carried, len) = self.codec.decode(&bytes[at..]);
             if carried.packet.source == carried.packet.destination {
-                // The packet was packed without its sender (see `anonymous`), so any other member may stand for it.
+                // This CONFIRM was packed without its sender (see `anonymous`), so any other member becomes its source.
                 let other = (carried.packet.destination.index() + 1) % self.nodes.len();
                 carried.packet.source = TaskId::from_index(other);
             }

@@ -34,8 +34,8 @@ fn left_len(faults: &CellFaults) -> usize {
     let counted = [faults.loss, faults.dup, faults.reorder, faults.fail, faults.drift];
     let counted = counted.iter().filter(|had| **had > 0).count() + faults.pause.len();
     let len = counted + faults.cut.len();
-    // An open cut forbids copies and overtaking, a cut that is over allows them: then states of cuts cannot be compared.
-    // More than 8 bytes do not fit into [`Left`].
+    // If packets may be copied or overtake each other, cuts are not counted here. An open cut forbids copies and
+    // overtaking, a cut that is over allows them, so neither state covers the other. At most 8 bytes fit into [`Left`].
     if faults.dup > 0 || faults.reorder > 0 || len > 8 { counted.min(8) } else { len }
 }
 
@@ -111,7 +111,7 @@ impl RunState {
         Ok(())
     }
 
-    /// Loads the state that was packed last: what packing did not keep is gone then.
+    /// Loads the state that was packed last, so that everything that packing omits is lost.
     pub fn load_packed(&mut self) {
         let packed = std::mem::take(&mut self.packed);
         self.load(&packed);
@@ -251,7 +251,7 @@ fn or_none<W: Walk>(ticks: &mut Option<u32>, w: &mut W) {
 
 /// Walks an optional time, in the form that `or_none` uses.
 fn walk_left<W: Walk>(left: &mut Option<Ticks>, w: &mut W) {
-    // A pass that reads ignores the former value, because that may be a symbol of another run.
+    // A pass that reads ignores the former value, because it may be a symbolic time of another run.
     let mut read = left.filter(|_| !W::READS).map_or(Ticks::ZERO, |left| left + Ticks(1));
     w.left(&mut read, true);
     *left = (!read.is_zero()).then(|| read - Ticks(1));

@@ -96,8 +96,8 @@ impl RunState {
                     comes = true;
                 }
                 None if up && self.may_come_early(carried) => {
-                    // An open cut may end with an early packet, too. Otherwise a state with an open cut would not cover a
-                    // state whose cut is over.
+                    // An open cut may end with an early packet, too. Otherwise a state with an open cut would allow
+                    // fewer moves than a state whose cut is over.
                     let open = self.cut_of(carried.link, OPEN);
                     let comes = open.map_or(CellMove::Deliver(small(i)), |cut| CellMove::Mend(small(i), cut));
                     moves.extend([comes, CellMove::Stay(carried.link)]);

@@ -175,7 +175,8 @@ impl RunState {
 
     /// Passes `ticks` on a node's clock, and for the scripts that it holds back.
     pub fn notice(&mut self, node: usize, ticks: Ticks) -> Result<(), Violation> {
-        // Of symbolic times, the least one is not computed: that would ask which one it is.
+        // Each time is compared by itself. To find the least of several symbolic times, the search would have to choose
+        // one.
         if self.cell.nodes[node].node.times_left().any(|due| due <= ticks) {
             self.beside.acted |= bit(node);
         }
