@@ -47,8 +47,8 @@ impl Protected for Observed {
     }
 }
 
-/// A machine makes three observations while an observer follows, in a ring that keeps two. Returns how many the
-/// observer lost. The observations that the observer reads are in order; together with the lost ones they are three.
+/// A machine makes three observations while an observer follows, in a ring that keeps two. The observer reads
+/// observations in order; those and the lost ones are three together. Returns how many were lost.
 fn follow(forgets_the_loss: bool) -> u64 {
     let mut ring = Ring::of(2);
     ring.forgets_the_loss = forgets_the_loss;
@@ -93,8 +93,8 @@ struct Stamper {
     count: usize,
 }
 
-/// The stamp that an input carries if the bug is planted: the bringing thread read the clock outside of the
-/// lock. Without the bug there is no stamp, and the step is stamped by the clock under the lock.
+/// An input. Its stamp is set only if the bug is planted: the thread that brings the input then read the clock before
+/// it had the lock. Without the bug, the machine stamps its step by the clock under the lock.
 struct Stamped(Option<u64>);
 
 impl Slotted for Stamped {
@@ -140,8 +140,8 @@ impl Protected for Stamper {
     }
 }
 
-/// An observer asks up to which time all steps are reported, while a machine reports steps. Returns how many steps were
-/// reported before the answer; later steps must not be older than the answer.
+/// A machine reports steps, while an observer asks up to which instant all steps are reported. No step that is
+/// reported later may be older than the observer's answer. Returns how many steps were reported before it.
 fn told_until(stamped_outside: bool) -> usize {
     let clock = Arc::new(AtomicU64::new(0));
     let stamper = Stamper { clock: Arc::clone(&clock), told: [None; 2], count: 0 };
@@ -207,9 +207,9 @@ impl Protected for Sender {
     }
 }
 
-/// A packet expires in the buffer at the same instant at which its sender's time_out ends. The thread that drops the packet
-/// leaves a note of this for the sender; the sender checks the buffer before it decides. Returns whether the sender dropped
-/// the packet itself. The planted bug: the thread leaves the note after it has released the buffer's lock.
+/// A packet expires in the buffer when its sender's time_out ends. The thread that drops the packet leaves a note for
+/// the sender, and the sender checks the buffer before it decides. The planted bug: the thread leaves the note after
+/// it has released the buffer's lock. Returns whether the sender dropped the packet itself.
 fn expire_in_the_buffer(news_comes_late: bool) -> bool {
     fn advance(buffer: &Mutex<bool>, handoff: &Handoff<Sender>, news_comes_late: bool) -> bool {
         let mut held = lock(buffer);

@@ -30,7 +30,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 /// The explorer's message when every thread sleeps.
 const DEADLOCK: &str = "deadlock";
 
-/// An input of a scene, one of a few possible ones: a slot of the inbox stores its position among them.
+/// An input of a scene. The inbox stores an input as its position in `ALL`.
 trait Listed: Copy + PartialEq + 'static {
     const ALL: &'static [Self];
 }
@@ -58,7 +58,7 @@ fn must_fail<O: Ord + Send + 'static>(symptom: &str, body: impl Fn() -> O + Send
     must_be_found(symptom, || explore(body));
 }
 
-/// As [`must_fail`] for a large scene, which has a smaller bound.
+/// As [`must_fail`], for a large scene: its exploration has a smaller bound.
 fn must_fail_large<O: Ord + Send + 'static>(symptom: &str, body: impl Fn() -> O + Send + Sync + 'static) {
     must_be_found(symptom, || explore_large(body));
 }

@@ -30,7 +30,7 @@ impl Home {
         self.place as usize
     }
 
-    /// The number of the task's domain: the place of that domain's first member.
+    /// The number of the task's domain: the position on the node of the domain's first member.
     pub const fn domain(self) -> usize {
         self.domain as usize
     }
@@ -41,7 +41,7 @@ impl Home {
     }
 }
 
-/// For each communication task of a node: the domain in whose lock it lies, and its position there.
+/// The home of each communication task of a node: its domain (the tasks that share one lock), and its position there.
 #[derive(Debug)]
 pub(crate) struct Homes {
     /// The home of each task of the cell; `None` for tasks of other nodes.

@@ -26,9 +26,10 @@ pub(crate) struct LocalTask {
     pub handoff: Arc<Handoff<Domain>>,
     waker: TaskWaker,
     liveness: AtomicU8,
-    /// How the thread of the futures marks this future. Set when that thread starts, if the task's program is a future.
+    /// How a future is marked as ready. Set when the thread of the futures starts; empty if the task is no future.
     pub marking: OnceLock<Marking>,
-    /// Whether the registered `waker` only sets the mark of `marking`. Only the thread of the futures uses this.
+    /// Whether the registered `waker` only sets the mark of `marking`. Only the thread of the futures reads and
+    /// writes this.
     pub is_plain: AtomicBool,
     /// When the task's script may begin, in microseconds of the node's clock; [`BEGUN`] once it has begun.
     pub begins: AtomicU64,
@@ -61,8 +62,8 @@ impl LocalTask {
         self.home.run_by == RunBy::AnyThread
     }
 
-    /// From here on, `waker` is called when there is an answer for the task's future. The thread of the futures calls
-    /// this function.
+    /// Registers `waker`, which is called whenever the task's future has an answer to take. Only the thread of the
+    /// futures calls this function.
     pub fn listen(&self, waker: &Waker) {
         let is_plain = self.marking.get().is_some_and(|marking| marking.waker.will_wake(waker));
         self.is_plain.store(is_plain, Ordering::Relaxed);
@@ -83,22 +84,22 @@ impl LocalTask {
         Addressed { member: self.home.member(), stamped }
     }
 
-    /// Brings input from any thread: see [`Handoff::deliver`].
+    /// Delivers an input from any thread: see [`Handoff::deliver`].
     pub fn deliver(&self, stamped: Stamped, effects: &mut Effects) {
         self.handoff.deliver(self.addressed(stamped), effects);
     }
 
-    /// As [`deliver`](Self::deliver), but the task has taken the input on return.
+    /// As [`deliver`](Self::deliver), but when this returns, the task has taken the input.
     pub fn deliver_now(&self, stamped: Stamped, effects: &mut Effects) {
         self.handoff.deliver_now(self.addressed(stamped), effects);
     }
 
-    /// Holds an input back in `effects`, to deliver it together with others.
+    /// Keeps an input in `effects`, so that it is delivered together with other inputs of this task.
     pub fn hold(&self, stamped: Stamped, effects: &mut Effects) {
         effects.bundles.push(self.home.place(), self.addressed(stamped));
     }
 
-    /// Puts input into the inbox of the task without taking the lock: see [`Handoff::leave`].
+    /// Puts an input into the inbox of the task without taking the lock: see [`Handoff::leave`].
     pub fn leave(&self, stamped: Stamped) -> Result<(), Stamped> {
         self.handoff.leave(self.addressed(stamped)).map_err(|input| input.stamped)
     }
