@@ -1,8 +1,8 @@
 //! Explores the concurrent parts of the runtime, each in small scenes of two or three threads. An explorer (loom or
-//! shuttle) runs a scene under many schedules (orders of the threads' steps). In the unit tests, loom takes all schedules
-//! with a bounded number of preemptions, stale values of atomics included. In `tests/schedules`, shuttle draws many more schedules. Both compile these same files;
-//! `crate::explorer` is the explorer in use. A large scene has a smaller bound by default, which shows the same outcomes and
-//! finds the same bugs (`explore_large`).
+//! shuttle) runs a scene under many schedules (orders of the threads' steps). In the unit tests, loom takes all
+//! schedules with a bounded number of preemptions, stale values of atomics included. In `tests/schedules`, shuttle
+//! draws many more schedules. Both compile these same files; `crate::explorer` is the explorer in use. A large scene
+//! has a smaller bound by default, which shows the same outcomes and finds the same bugs (`explore_large`).
 //!
 //! A scene returns its outcome. Each test asserts the whole set of outcomes. Beside it stand tests in which a bug is
 //! planted on purpose, and must be found. An exploration that sees only one outcome, or misses the bug, proves nothing.

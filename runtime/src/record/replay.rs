@@ -128,7 +128,8 @@ impl<'t> Replay<'t> {
         Self { happened: Some(Vec::new()), ..self }
     }
 
-    /// Runs the next step. After a gap, or after a step whose outputs differ, steps are only counted until a keyframe comes.
+    /// Runs the next step. After a gap, or after a step whose outputs differ, only counts steps until the next
+    /// keyframe.
     pub fn step(&mut self, entry: Recorded) {
         if self.closed {
             // A step after the end of the task is only counted, and reported as one step too many.
@@ -144,7 +145,7 @@ impl<'t> Replay<'t> {
         if self.script.as_mut().is_some_and(|script| !script.expects(&entry.step.input)) {
             self.lose_script();
         }
-        // The script stops now, with its last request, and not already at the time of its last act.
+        // The script stopped now, with its last request, and not at the earlier time that `Stopped` has.
         if let Input::Request(Request::Cancel) = entry.step.input
             && let Some((at, Happened::Stopped)) =
                 self.happened.as_mut().and_then(|happened| happened.last_mut())
@@ -187,7 +188,7 @@ impl<'t> Replay<'t> {
         (self.machine, self.script) = (None, None);
     }
 
-    /// Takes a step of the script that follows from no step of its communication task.
+    /// Gives the script a step that its communication task did not cause, such as the end of an action.
     pub fn script(&mut self, step: ScriptStep, done: OutputDigest) {
         if let ScriptStep::Begin { at } = step {
             self.base.get_or_insert(at.saturating_sub(self.passed));
@@ -236,7 +237,7 @@ impl<'t> Replay<'t> {
     pub fn close(&mut self, inputs: u64, outputs: OutputDigest) {
         self.closed = true;
         let found = self.found();
-        // Some of the lost records may be no inputs.
+        // The records that were lost need not all be inputs.
         let counts = found <= inputs && inputs <= found.saturating_add(self.lost);
         if !counts || (self.machine.is_some() && outputs != self.digest) {
             let (task, said, said_outputs, outputs) = (self.task, inputs, outputs, self.digest);
@@ -291,7 +292,7 @@ impl<'t> Replay<'t> {
         }
     }
 
-    /// How long after the task's first step its last step came, in microseconds.
+    /// The time from the task's first step to its last step so far, in microseconds.
     pub(super) const fn passed(&self) -> u64 {
         self.passed
     }
@@ -308,7 +309,7 @@ impl<'t> Replay<'t> {
         self.judged
     }
 
-    /// How many recorded steps could not be judged, because the state before them is not known or differed.
+    /// How many recorded steps could not be judged: the state before them is not known, or an earlier step differed.
     #[must_use]
     pub const fn unjudged(&self) -> usize {
         self.unjudged

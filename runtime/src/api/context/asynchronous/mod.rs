@@ -53,8 +53,8 @@ type OnTimer<S> = Rc<dyn Fn(&mut S) -> Result<(), TaskError>>;
 ///
 /// # Dropped futures
 ///
-/// A call makes its request when its future is first polled. The future of a call that waits may be dropped before it is ready, as `select!` does. The communication task then cancels the
-/// wait ([`Request::Cancel`]):
+/// A call makes its request when its future is first polled. The future of a call that waits may be dropped before it
+/// is ready, as `select!` does. The communication task then cancels the wait ([`Request::Cancel`]):
 ///
 /// - a `receive` is cancelled. If the task already has its message, the message is kept for the next `receive` that
 ///   accepts it, unless it expires before that;
