@@ -210,8 +210,8 @@ pub struct Coverage {
     pub parts: u32,
     /// The number of different states that were kept. Between two kept states only one move at a time is possible.
     pub states: u64,
-    /// The number of runs of a search by zones that lead to states with more times than the cell can reach (D189, D209). If
-    /// there are such runs, a statement may count as reached that cannot be reached.
+    /// How often a search by zones reached a state together with times that the cell cannot reach (D189, D209). If this
+    /// is not 0, a statement may count as reached that cannot be reached.
     #[serde(default)]
     pub inexact: u64,
     /// Moves made.
