@@ -1,4 +1,4 @@
-//! The process that becomes the command. It makes sure that it ends when its guard ends, gives up a node's real-time
+//! The process that becomes the command. It ties its end to that of its guard, gives up a node's real-time
 //! privileges, and executes the program.
 
 use super::words::Errand;
@@ -54,9 +54,9 @@ fn become_it(errand: &Errand) -> io::Error {
     }
 }
 
-/// Makes this process ordinary. A node under `--rt` runs under SCHED_FIFO on one core, and so does its guard. The command runs
-/// under the ordinary scheduler on the cores that the launcher had. Its memory is not locked, because locks do not pass to other
-/// programs.
+/// Takes the real-time privileges from this process. A node under `--rt` runs under SCHED_FIFO on one core, and so
+/// does its guard. The command runs under the ordinary scheduler, on the cores that the launcher had. Its memory is
+/// not locked, because memory locks end when a program is executed.
 fn be_ordinary(cores: Option<&str>) {
     if let Some(cores) = cores {
         let mut set = CpuSet::new();

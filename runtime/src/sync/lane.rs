@@ -1,5 +1,5 @@
-//! A ring of fixed size for one producer and one consumer, without locks and without waiting. A record for which there
-//! is no room is not taken.
+//! A ring of fixed size for one producer and one consumer, without locks and without waiting. If there is no room for
+//! a record, the ring does not take it.
 //!
 //! A record consists of one or more slots in a row. The producer fills the slots one by one and publishes them together
 //! ([`Fill::publish`]), so the consumer finds only whole records.
@@ -77,7 +77,8 @@ impl<const WORDS: usize, P> Lane<WORDS, P> {
 }
 
 impl<const WORDS: usize, P: Plants<Plant>> Fill<WORDS, P> {
-    /// Whether there is room for this many slots. Calls `crowded` once in a while if at least a quarter of the lane is used.
+    /// Whether there is room for this many slots. At times calls `crowded`, if at least a quarter of the lane is
+    /// used.
     #[inline]
     pub fn has_room(&mut self, slots: usize, crowded: impl FnOnce()) -> bool {
         self.free.wrapping_sub(self.at) >= slots || self.look(slots, crowded)
@@ -90,7 +91,7 @@ impl<const WORDS: usize, P: Plants<Plant>> Fill<WORDS, P> {
             crowded();
         }
         let room = self.lane.slots.len() - used;
-        // `free` counts only a part of the free slots, so that `emptied` is loaded again early enough to report
+        // `free` counts only a part of the free slots, so that `emptied` is loaded again soon enough to report
         // crowding.
         self.free = self.at.wrapping_add(room.min(quarter.max(slots)));
         room >= slots

@@ -11,11 +11,11 @@ use crate::sync::{AtomicBool, Ordering};
 
 /// How another thread wakes the leader from its wait in the link.
 pub(crate) trait Away {
-    /// The thread is about to wait in the link: from now on a call wakes it there. Returns false if the thread was
-    /// called already.
+    /// Notes that the thread is about to wait in the link: from now on a call wakes it there. Returns false if the
+    /// thread was called already.
     fn go_away(&self) -> bool;
 
-    /// The thread is back from its wait in the link. Returns false if the thread was called during the wait.
+    /// Notes that the thread no longer waits in the link. Returns false if the thread was called during the wait.
     fn come_home(&self) -> bool;
 }
 
@@ -37,7 +37,8 @@ pub(crate) enum Led {
     ToTheEnd,
     /// The thread led, and another thread ended its wait.
     Called,
-    /// The thread did not lead, or not until its wait was over: other threads receive, and this thread sleeps.
+    /// The thread did not lead, or lost the lead before its wait was over: other threads receive, and this thread
+    /// must sleep.
     No,
 }
 
@@ -80,7 +81,8 @@ impl<P: Plants<Plant>> Lead<P> {
         let mut led = Led::ToTheEnd;
         while away.go_away() {
             let came = wait();
-            // From here on, a thread that brings the leader's answer need not wake the leader.
+            // From here on, another thread that brings the leader's answer does not wake the leader, because the
+            // leader runs.
             let called = !away.come_home();
             if called && self.plant.has(Plant::LeavesBlindly) {
                 led = Led::Called;

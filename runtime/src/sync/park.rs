@@ -54,11 +54,12 @@ impl<P: Plants<Plant>> Park<P> {
         }
     }
 
-    /// The thread is about to poll all futures that were woken so far. A call after this one keeps the thread from waiting.
+    /// Notes that the thread is about to poll all futures that are marked by now. A later call keeps the thread from
+    /// waiting.
     pub fn begins(&self) {
-        // The word is swapped only if the thread was called. A call that this load misses keeps the thread from waiting
-        // later. This is a swap and not a store, because its acquire pairs with the swap in `call`, so the thread sees
-        // all writes before the call.
+        // The word is swapped only if the thread was called. If this load misses a call, the call still keeps the
+        // thread from waiting later. A swap is needed, not a store: its acquire pairs with the swap in `call`, so the
+        // thread sees all writes before the call.
         if self.word.load() != RUNNING {
             self.word.swap(RUNNING);
         }

@@ -11,19 +11,20 @@ pub(crate) trait Protected {
     /// The work that the thread does once the lock is released. The caller owns it.
     type Effects;
 
-    /// Whether only the task's thread needs the result of this input, so that the input may wait until that thread enters.
+    /// Whether only the task's thread needs the result of this input. If so, the input may wait until that thread
+    /// makes its next call.
     fn may_wait(input: &Self::Input) -> bool;
 
     /// Takes one input, and may change it. Returns an answer for the task, if there is one.
     fn feed(&mut self, input: &mut Self::Input, effects: &mut Self::Effects) -> Option<Self::Completion>;
 
-    /// Processes inputs that the protected state has for itself. Called after each group of inputs that a thread
-    /// processes for other threads.
+    /// Processes inputs that the protected tasks have for each other. Called after each group of inputs that a thread
+    /// has processed.
     fn work_inside(&mut self, effects: &mut Self::Effects) {
         let _ = effects;
     }
 
-    /// Called last before the lock is released. Returns the instant at which the protected state next expires.
+    /// Called last, before the lock is released. Returns the instant of the protected state's next expiry.
     fn settle(&mut self, rest: Rest, effects: &mut Self::Effects) -> u64;
 }
 

@@ -94,8 +94,8 @@ impl UdpLink {
         session.map(Closing::Keys)
     }
 
-    /// Repeats the requests for sessions that were not answered, and the greetings in new sessions. Returns
-    /// when to do so again, if any is still unanswered. The polling thread calls this.
+    /// Repeats requests for sessions that were not answered, and greetings in new sessions. Returns the instant at
+    /// which this is due again; `None` if all were answered. The polling thread calls this.
     pub(super) fn knock(&self) -> Option<Instant> {
         if !self.knocks.swap(false, Ordering::AcqRel) {
             return None;

@@ -70,7 +70,7 @@ pub struct UdpLink {
     options: UdpOptions,
     /// The incarnation of the node, and whether an earlier incarnation may have taken requests.
     identity: AtomicU16,
-    /// Whether the node does not know its incarnation yet, and so asks its neighbours which one they remember.
+    /// Whether the node does not know its incarnation yet, and so asks its neighbours.
     uncounted: AtomicBool,
     session: Session,
     /// Whether keys close the datagrams of this link.
@@ -309,8 +309,7 @@ impl UdpLink {
         std::thread::sleep(Duration::from_millis(1));
     }
 
-    /// Returns why the poll must end after the event counter was raised; `None` if it must only check the socket
-    /// again.
+    /// Why the poll must end, now that the event counter was raised; `None` if it must only check the socket again.
     fn end_of_wake(&self) -> Option<PollEnd> {
         if self.address_known.swap(false, Ordering::AcqRel) {
             if self.woken.load(Ordering::Acquire) {

@@ -69,8 +69,7 @@ impl UdpLink {
     /// Takes one datagram, with those that the kernel merged with it, from each socket that was reported to the
     /// leader. The kernel reports later datagrams to the polling thread. Returns false if another thread receives
     /// from one of the sockets: that thread takes the datagram. Reading a socket until it is empty costs one more
-    /// syscall, so this is done only after `EMPTY_OFTEN`: when a socket was empty matters only if the kernel does not
-    /// stamp the datagrams.
+    /// syscall, so this is done only after `EMPTY_OFTEN`. That instant matters only without the kernel's stamps.
     pub(super) fn take_told(&self, told: &ReadySockets, sink: &dyn Sink) -> bool {
         self.with_room(|room| {
             let mut all = true;
