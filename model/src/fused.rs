@@ -27,8 +27,8 @@ pub struct Compared {
 }
 
 impl Compared {
-    /// The kind of fused step that was compared least often, in the plural, and how often. Queries and responses are not
-    /// told apart from other messages and answers: no claim has a query within a node, but random cells do.
+    /// The kind of fused step that was compared least often, in the plural, and how often. Queries count as messages,
+    /// and responses as answers, because no claim has a query within a node.
     #[must_use]
     pub fn rarest(&self) -> (&'static str, u64) {
         let Self { messages, answers, arrivals, meetings, gets, pairs, .. } = *self;

@@ -32,7 +32,7 @@ fn told(verdicts: &Verdicts, is_pruned: bool) -> Vec<String> {
     // Behind a deadlock nothing is proved of statements that were not reached.
     let is_told = |found: &&Finding| !(waits(found) || is_pruned && found.kind == Kind::Unreached);
     let found = verdicts.findings.iter().filter(is_told).map(|found| {
-        // Starvation is judged on one path only.
+        // Starvation counts as a time_out, because the search examines only one path to decide between the two.
         let kind = if found.kind == Kind::Starves { Kind::TimeOut } else { found.kind };
         let phase = (found.phase, found.hypothesis);
         format!(
@@ -294,8 +294,7 @@ fn a_message_that_waits_expires_at_the_same_instant_by_zones() {
             receive put(m) within 1 msec on time_out do skip; end;\ngot := m = 1;\nend b;\ncheck c: never b.got;\n"
         )
     };
-    // The message is sent after 1 to 3 msec and expires after 13 to 15 msec. The check fails if `b` takes it before
-    // that.
+    // The message is sent after 1 to 3 msec and expires 12 msec later. The check fails if `b` takes the message.
     let cases = [("2", true), ("6", true), ("14", true), ("15", false), ("16..20", false), ("12..20", true)];
     for (work, is_got) in cases {
         let mut cell = Text::new(&text(work));

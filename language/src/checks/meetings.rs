@@ -1,4 +1,4 @@
-//! Checks `waitfor` (§4.3): every member comes to each meeting, all in one order, and each member can give up.
+//! Checks `waitfor` (§4.3): every member reaches each `waitfor`, all members in one order, and each member can give up.
 
 use super::{is_draft, ring, task, tasks};
 use crate::ast::BranchKind;

@@ -217,8 +217,8 @@ pub struct CellPlan {
     /// notices, keeps covered states and dead variables, tries crashes, restarts and pauses at every event, and searches
     /// all independent parts together.
     pub everything: bool,
-    /// The greatest number of zones that a search by zones keeps for one control. If there would be more, the search keeps
-    /// the least zone that includes them all, their *hull*.
+    /// The greatest number of zones that a search by zones keeps for one control (a state without its times). If there
+    /// would be more, the search keeps the least zone that includes them all, their *hull*.
     pub zones: usize,
     /// How many packets a node's transit buffer holds.
     pub transit: u16,

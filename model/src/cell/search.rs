@@ -57,7 +57,7 @@ pub(super) struct Kept {
     pub reached: Reached,
 }
 
-/// Searches a phase. Also returns the states that the search kept.
+/// Searches a phase: without faults, or with one fault hypothesis. Also returns the states that the search kept.
 pub(super) fn explore_and_keep(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Kept {
     let (search, done) = search(plan, (phase, 0), faults, &Silent);
     let hits = search.hits.into_iter().map(|hit| hit.shown).collect();

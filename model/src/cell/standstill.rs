@@ -92,7 +92,7 @@ impl StateGraph {
         back.extend(self.steps.iter().filter_map(|&(from, to)| Some((*places.get(&to)?, from))));
         back.sort_unstable();
         while let Some(at) = open.pop() {
-            // States that differ only in their remaining faults have the same edges, because these have no faults.
+            // States that differ only in their remaining faults have the same edges, because no edge contains a fault.
             let first = places.get(&cores[at as usize]).copied().unwrap_or(at);
             let begin = back.partition_point(|&(to, _)| to < first);
             for &(_, from) in back[begin..].iter().take_while(|&&(to, _)| to == first) {

@@ -37,7 +37,7 @@ pub(super) struct Stop {
     pub state: Box<[u8]>,
 }
 
-/// A walk, as far as it has come.
+/// The part of a walk that has been made so far.
 #[derive(Clone, Copy)]
 struct WalkPath {
     from: u32,

@@ -235,7 +235,7 @@ impl CellState {
         if wrong { Err(Violation::WrongAnswer) } else { Ok(()) }
     }
 
-    /// Judges the end of a delay: no tick of it may be left. Only if every node counts every tick as it passes.
+    /// Judges the end of a delay: no tick of it may be left. Judges only if every node counts every tick as it passes.
     fn judge_delay(&self, activation: &Activation) -> Result<(), Violation> {
         let Some(slack) = self.plan.waits() else { return Ok(()) };
         let exact = self.plan.faults.drift == 0 && self.plan.faults.late == 0;

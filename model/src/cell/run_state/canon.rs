@@ -236,20 +236,20 @@ impl Beside {
     }
 }
 
-/// Walks a task and one of its activations.
+/// Encodes, decodes or visits (as the pass `w` does) a task and one of its activations.
 fn walk_thread<W: Walk>((task, level): &mut (u8, u8), w: &mut W) {
     w.byte(task);
     w.byte(level);
 }
 
-/// Walks an optional number of ticks. In packed form `None` is 0, and `n` is `n + 1`.
+/// Encodes, decodes or visits an optional number of ticks. In packed form `None` is 0, and `n` is `n + 1`.
 fn or_none<W: Walk>(ticks: &mut Option<u32>, w: &mut W) {
     let mut read = ticks.map_or(0, |ticks| ticks + 1);
     w.number(&mut read);
     *ticks = read.checked_sub(1);
 }
 
-/// Walks an optional time, in the form that `or_none` uses.
+/// Encodes, decodes or visits an optional time, in the form that `or_none` uses.
 fn walk_left<W: Walk>(left: &mut Option<Ticks>, w: &mut W) {
     // A pass that reads ignores the former value, because it may be a symbolic time of another run.
     let mut read = left.filter(|_| !W::READS).map_or(Ticks::ZERO, |left| left + Ticks(1));
@@ -257,7 +257,8 @@ fn walk_left<W: Walk>(left: &mut Option<Ticks>, w: &mut W) {
     *left = (!read.is_zero()).then(|| read - Ticks(1));
 }
 
-/// Walks a pause: the ticks that it may still last, the ticks that it has lasted, and the actions that it holds back.
+/// Encodes, decodes or visits a pause: the ticks that it may still last, the ticks that it has lasted, and the actions
+/// that it holds back.
 fn walk_pause<W: Walk>(asleep: &mut Option<Asleep>, slept: &mut Option<u32>, w: &mut W) {
     let mut left = asleep.as_ref().map(|asleep| asleep.left);
     or_none(&mut left, w);
@@ -271,7 +272,8 @@ fn walk_pause<W: Walk>(asleep: &mut Option<Asleep>, slept: &mut Option<u32>, w: 
 }
 
 impl TickValues {
-    /// Walks what the nodes showed earlier in this tick: how many groups of values, then the values.
+    /// Encodes, decodes or visits what the nodes showed earlier in this tick: the number of groups of values, then the
+    /// values.
     fn walk<W: Walk>(&mut self, w: &mut W) {
         let widths: Vec<usize> = self.widths().collect();
         for (earlier, width) in self.earlier.iter_mut().zip(widths) {

@@ -263,7 +263,7 @@ impl RunState {
         let awake = || up().filter(|&i| !self.is_asleep(i));
         let nodes = awake().flat_map(|i| cell_state.nodes[i].node.times_left());
         let paused = up().filter(|&i| self.is_asleep(i)).flat_map(|i| self.events_asleep(i)).map(Ticks);
-        // A check fails when the last tick of its bound is over, which is one tick later.
+        // A `leads` check fails only after the last tick of its bound, which is one tick later.
         let due = self.beside.due.iter().flatten().map(|&left| left + Ticks(1));
         let held_back = awake().filter_map(|i| self.next_begin(i));
         nodes.chain(paused).chain(due).chain(held_back)
