@@ -15,8 +15,8 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use zeroize::Zeroizing;
 
-/// Room for most setups. A buffer that grows leaves a copy of the keys behind in memory. Other lines get a small
-/// buffer, because erasing this many bytes would take longer than writing such a line.
+/// Room for most setups. If a buffer grows, a copy of the keys stays behind in memory. Other lines get a small
+/// buffer, because erasing a large one would take longer than writing such a line.
 const SETUP_BYTES: usize = 1 << 15;
 
 /// The first line to a node: its identity and how it runs.

@@ -1,6 +1,6 @@
-//! Tests of how a node keeps time: every sleeping thread asks for exact sleeps, a time_out that is answered wakes no thread,
-//! and a node that stood still discards what has expired. These tests run alone: threads are found by name, and the whole
-//! process is stopped.
+//! Tests of how a node keeps time: every thread asks for exact sleeps, an answered time_out wakes no thread, and a
+//! node that was stopped discards what has expired. These tests run alone, because they find threads by name and stop
+//! the whole process.
 
 use crate::alone;
 use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, report, table};
@@ -20,7 +20,8 @@ const SHORT: Ticks = Ticks(200_000);
 const COMMANDS: u32 = 1_000;
 const NEWS: u16 = 8;
 
-/// For each thread that called this value: how late the kernel may end the thread's sleeps, in nanoseconds.
+/// For each thread that called this recorder or link: how late the kernel may end the thread's sleeps, in
+/// nanoseconds.
 #[derive(Default)]
 struct Slacks {
     of: Mutex<Vec<(String, u64)>>,

@@ -200,7 +200,7 @@ fn the_process_and_its_clock_are_told() {
     assert!(lateness.p50_us <= lateness.p99_us && lateness.p99_us <= lateness.max_us, "{lateness:?}");
 }
 
-/// The node has so many tasks that the next state must be sent before the previous one has left, as on a very busy
+/// The node has so many tasks that the next state is due before the previous one has been sent, as on a very busy
 /// machine.
 #[test]
 fn a_state_that_takes_longer_than_its_period_leaves_the_rest_its_turn() {

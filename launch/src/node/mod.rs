@@ -121,7 +121,7 @@ pub fn run(
     }
 }
 
-/// How a node ends: in order, or as after a power cut.
+/// How a node ends: in order, or as in a power cut.
 enum Leave {
     InOrder,
     AtOnce,

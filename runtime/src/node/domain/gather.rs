@@ -73,8 +73,8 @@ impl<S, const RECORDS: bool> Gathered<'_, S, RECORDS> {
 }
 
 impl<S: FusedSignals, const RECORDS: bool> Members for Gathered<'_, S, RECORDS> {
-    /// In a recording, the CONFIRMs of members that are released are inputs of their own, and a script takes them only after it has
-    /// gone on.
+    /// False if tasks are recorded: in a recording, the CONFIRMs of released members are inputs of their own, and a
+    /// script takes them only after it has gone on.
     fn may_release(&self) -> bool {
         !RECORDS
     }
