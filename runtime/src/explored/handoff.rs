@@ -6,7 +6,7 @@ use crate::clock::FAR;
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
 use crate::sync::handoff::{Handoff, Plant, Protected, Rest};
 
-/// A machine with two states: its task waits for an answer, or does not. The machine keeps an answer that comes
+/// A state machine with two states: its task waits for an answer, or does not. The machine keeps an answer that comes
 /// before the request.
 #[derive(Default)]
 pub(super) struct Toy {

@@ -1,4 +1,4 @@
-//! Scenes of observers that look at a machine while it works, and of a report about a packet that must not
+//! Scenes of observers that look at a state machine while it works, and of a report about a packet that must not
 //! come too late.
 
 use super::{Listed, must_fail};
@@ -10,7 +10,7 @@ use crate::sync::inbox::Slotted;
 use crate::sync::{AtomicU64, Mutex, Ordering, lock};
 use imrs_protocol::{Event, Observation, PortId, TaskId, Ticks};
 
-/// A machine that counts what it observes.
+/// A state machine that counts what it observes.
 struct Observed {
     ring: Ring,
     count: u32,
@@ -47,7 +47,7 @@ impl Protected for Observed {
     }
 }
 
-/// A machine makes three observations while an observer follows, in a ring that keeps two. The observer reads
+/// A state machine makes three observations while an observer follows, in a ring that keeps two. The observer reads
 /// observations in order; those and the lost ones are three together. Returns how many were lost.
 fn follow(forgets_the_loss: bool) -> u64 {
     let mut ring = Ring::of(2);
@@ -86,7 +86,7 @@ fn a_reader_that_does_not_know_its_loss_reads_out_of_order() {
     must_fail("out of order", || follow(true));
 }
 
-/// A machine that stamps each step with a time, and reports it.
+/// A state machine that stamps each step with a time, and reports it.
 struct Stamper {
     clock: Arc<AtomicU64>,
     told: [Option<u64>; 2],
@@ -94,7 +94,7 @@ struct Stamper {
 }
 
 /// An input. Its stamp is set only if the bug is planted: the thread that brings the input then read the clock before
-/// it had the lock. Without the bug, the machine stamps its step by the clock under the lock.
+/// it had the lock. Without the bug, the state machine stamps its step by the clock under the lock.
 struct Stamped(Option<u64>);
 
 impl Slotted for Stamped {
@@ -140,7 +140,7 @@ impl Protected for Stamper {
     }
 }
 
-/// A machine reports steps, while an observer asks up to which instant all steps are reported. No step that is
+/// A state machine reports steps, while an observer asks up to which instant all steps are reported. No step that is
 /// reported later may be older than the observer's answer. Returns how many steps were reported before it.
 fn told_until(stamped_outside: bool) -> usize {
     let clock = Arc::new(AtomicU64::new(0));
@@ -173,7 +173,7 @@ fn a_stamp_from_outside_the_lock_is_told_too_late() {
     must_fail("told too late", || told_until(true));
 }
 
-/// A machine that waits until it learns whether its packet was sent.
+/// A state machine that waits until it learns whether its packet was sent.
 #[derive(Default)]
 struct Sender {
     outcome: Option<Outcome>,

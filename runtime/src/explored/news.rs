@@ -6,7 +6,7 @@ use super::{DEADLOCK, must_fail};
 use crate::explorer::{SEES_OLD_VALUES, explore};
 use crate::sync::handoff::Plant;
 
-/// A task has used its machine before. It makes a request, checks for the answer `looks` times and then sleeps;
+/// A task has used its state machine before. It makes a request, checks for the answer `looks` times and then sleeps;
 /// another thread brings news, which may wait. Returns how the task waited, and whether its own thread handled the
 /// news.
 fn ask_for_news(plant: Option<Plant>, looks: u32) -> (Waited, bool) {

@@ -95,7 +95,7 @@ fn looking_for_the_end_too_soon_sleeps_through_it() {
     must_fail(DEADLOCK, || close(Some(Plant::EndBeforeRung)));
 }
 
-/// A machine with one deadline: now, or a long time from now.
+/// A state machine with one deadline: now, or a long time from now.
 struct Timed {
     alarm: Arc<Planted>,
     cover: Cover,
@@ -198,7 +198,7 @@ fn an_expiry_before_the_end_of_the_sleep_needs_the_timer() {
     must_fail_large(DEADLOCK, || an_expiry_changes_hands(true));
 }
 
-/// A machine whose deadlines only the Timer thread serves. Most of its requests are answered in time.
+/// A state machine whose deadlines only the Timer thread serves. Most of its requests are answered in time.
 struct Kept {
     cover: Cover,
     now: Micros,
@@ -206,13 +206,13 @@ struct Kept {
 }
 
 impl Kept {
-    /// Sets the machine's next deadline.
+    /// Sets the state machine's next deadline.
     fn expires(&mut self, due: Micros, alarm: &Planted) {
         self.due = due;
         self.settle(alarm);
     }
 
-    /// Advances the machine in the Timer thread.
+    /// Advances the state machine in the Timer thread.
     fn time_is_up(&mut self, alarm: &Planted) {
         self.now = NOW;
         self.due = if self.due <= NOW { FAR } else { self.due };
@@ -226,8 +226,8 @@ impl Kept {
     }
 }
 
-/// A machine makes a request and gets its answer in time. Then it makes two more, the last with a shorter time_out.
-/// The Timer thread serves the machine. Returns which deadline is published after the answer.
+/// A state machine makes a request and gets its answer in time. Then it makes two more, the last with a shorter
+/// time_out. The Timer thread serves the machine. Returns which deadline is published after the answer.
 fn an_answered_request_stays_published(keeps: Option<Keeps>) -> Micros {
     let alarm = alarm(1, None);
     let mut cover = Cover::new(0);

@@ -30,9 +30,9 @@ pub(crate) struct Comm {
     /// Whether the task belongs to a couple (a primary or its standby). An input of such a task takes effect
     /// when the task takes it, if that is later than the input's stamp.
     coupled: bool,
-    /// The instant on the node's clock at which the machine's own clock began.
+    /// The instant on the node's clock at which the state machine's own clock began.
     started: Micros,
-    /// The log of the machine's steps, if they are recorded.
+    /// The log of the state machine's steps, if they are recorded.
     pub logged: Option<Logged>,
     pub ring: Ring,
     discards: [u64; Reason::ALL.len()],
@@ -91,7 +91,7 @@ impl Comm {
         })
     }
 
-    /// The time from the machine's present to `now`; zero if `now` is not later.
+    /// The time from the state machine's present to `now`; zero if `now` is not later.
     pub const fn elapsed(&self, now: Micros) -> Ticks {
         Ticks(now.saturating_sub(self.now()))
     }
@@ -106,7 +106,7 @@ impl Comm {
         self.coupled
     }
 
-    /// Whether the task's lease has ended by `now` although the machine's clock has not reached that end yet.
+    /// Whether the task's lease has ended by `now` although the state machine's clock has not reached that end yet.
     pub fn is_overdue(&self, now: Micros) -> bool {
         self.machine.lease_left().is_some_and(|left| self.now().saturating_add(left.0) <= now)
     }
@@ -115,12 +115,12 @@ impl Comm {
         &self.machine
     }
 
-    /// The time to which the machine has been advanced, on the node's clock.
+    /// The time to which the state machine has been advanced, on the node's clock.
     pub const fn now(&self) -> Micros {
         self.started + self.machine.now().0
     }
 
-    /// Lets the machine take one step. The machine's answers go to `answers`.
+    /// Lets the state machine take one step. The machine's answers go to `answers`.
     pub fn run(
         &mut self,
         elapsed: Ticks,
@@ -158,7 +158,7 @@ impl Comm {
         self.logged.is_some()
     }
 
-    /// Whether the machine's clock has advanced since the last recorded step.
+    /// Whether the state machine's clock has advanced since the last recorded step.
     pub fn owes_time(&self) -> bool {
         self.logged.as_ref().is_some_and(Logged::owes_time)
     }
@@ -170,8 +170,8 @@ impl Comm {
         }
     }
 
-    /// The machine's state with up to `queue_limit` waiting messages of each port, and the instant at which it was
-    /// so.
+    /// The state of the state machine, with up to `queue_limit` waiting messages of each port, and the instant at which it
+    /// was so.
     pub fn view(&self, queue_limit: impl Fn(PortId) -> usize) -> (TaskView, Micros) {
         (self.machine.view_of(&self.table, queue_limit), self.now())
     }
@@ -189,7 +189,7 @@ impl Comm {
         &mut self.ring
     }
 
-    /// Records a message that expired on its last stretch: after the machine gave it out, and before the task's
+    /// Records a message that expired on its last stretch: after the state machine gave it out, and before the task's
     /// program had it (§5.1.1).
     pub fn expired_in_hand(&mut self, message: &Delivery) {
         self.discards[Reason::Expired as usize] += 1;
@@ -205,13 +205,13 @@ impl Comm {
         );
     }
 
-    /// The instant of the machine's next deadline.
+    /// The instant of the state machine's next deadline.
     fn due(&mut self) -> Micros {
         self.started.saturating_add(self.machine.keep_deadline().0)
     }
 
-    /// Publishes the machine's next deadline for the Timer thread, unless the task's own thread watches it. Returns
-    /// the deadline.
+    /// Publishes the state machine's next deadline for the Timer thread, unless the task's own thread watches it.
+    /// Returns the deadline.
     pub fn settle(&mut self, rest: Rest) -> Micros {
         let due = self.due();
         self.cover.settle(&self.alarm, rest, due);
@@ -246,7 +246,8 @@ impl Comm {
         self.runner.as_ref().is_some_and(|runner| runner.has_input())
     }
 
-    /// Advances the machine's clock to `now`. Returns false, and changes nothing, if anything is due before that.
+    /// Advances the state machine's clock to `now`. Returns false, and changes nothing, if anything is due before
+    /// that.
     #[inline]
     pub fn catch_up_with(&mut self, now: Micros) -> bool {
         self.now() == now || self.let_idle_time_pass(now)
@@ -270,7 +271,8 @@ impl Comm {
         let elapsed = self.elapsed(at);
         let at = self.now() + elapsed.0;
         if let Input::Packet(packet) = &mut stamped.input {
-            // The packet also pays for the time by which another thread has advanced the machine beyond `stamped.at`.
+            // The packet also pays for the time by which another thread has advanced the state machine beyond
+            // `stamped.at`.
             packet.remaining = packet.remaining - Ticks(at.saturating_sub(stamped.at));
         }
         let mut completion = None;
@@ -280,16 +282,16 @@ impl Comm {
     }
 }
 
-/// An answer of the machine to its task.
+/// An answer of the state machine to its task.
 #[derive(Clone, Copy, Debug)]
 pub struct Completion {
     /// The answer itself.
     pub signal: Signal,
-    /// The instant at which the machine gave the answer.
+    /// The instant at which the state machine gave the answer.
     pub at: Micros,
 }
 
-/// The outbox that the machine fills while it takes one input.
+/// The outbox that the state machine fills while it takes one input.
 struct Out<'a> {
     at: Micros,
     task: TaskId,

@@ -219,8 +219,8 @@ impl Log for TaskLog {
         self.needs_keyframe && self.pause == 0 && self.fill.is_half_free() && !self.alert.is_over()
     }
 
-    /// Writes the machine's state after a gap of lost steps. Unlike all other code on the message path it allocates, once
-    /// for each gap.
+    /// Writes the state machine's state after a gap of lost steps. Unlike all other code on the message path it
+    /// allocates, once for each gap.
     fn keyframe(&mut self, machine: &CommTask, digest: OutputDigest) {
         // If the state cannot be serialised, there is no keyframe here, and steps stay missing until the next attempt
         // succeeds.

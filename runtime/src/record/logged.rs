@@ -9,11 +9,11 @@ use imrs_protocol::{CommTask, Input, Packet, Request, Signal, Ticks};
 /// for every task that took part in the fused step (D207).
 pub(crate) struct Logged {
     log: Box<dyn Log>,
-    /// Whether the log wants the machine's state before the next step.
+    /// Whether the log wants the state machine's state before the next step.
     wants_keyframe: bool,
     /// The digest of all outputs so far.
     pub digest: OutputDigest,
-    /// How far the machine's clock has advanced since the last recorded step.
+    /// How far the state machine's clock has advanced since the last recorded step.
     passed: Ticks,
 }
 
@@ -23,38 +23,39 @@ impl Logged {
         Self { log, wants_keyframe, digest: OutputDigest::START, passed: Ticks::ZERO }
     }
 
-    /// Whether the log wants the machine's state before the next step. If so, the task must take no fused step next.
+    /// Whether the log wants the state machine's state before the next step. If so, the task must take no fused step
+    /// next.
     pub const fn wants_keyframe(&self) -> bool {
         self.wants_keyframe
     }
 
-    /// Whether the machine's clock has advanced since the last recorded step.
+    /// Whether the state machine's clock has advanced since the last recorded step.
     pub const fn owes_time(&self) -> bool {
         self.passed.0 != 0
     }
 
-    /// Notes that the machine's clock advanced by `elapsed` without a step. The next recorded step includes this
-    /// time.
+    /// Notes that the state machine's clock advanced by `elapsed` without a step. The next recorded step includes
+    /// this time.
     #[inline]
     pub fn pass(&mut self, elapsed: Ticks) {
         self.passed = Ticks(self.passed.0 + elapsed.0);
     }
 
-    /// Records the machine's state before a small step, if the log wants it.
+    /// Records the state machine's state before a small step, if the log wants it.
     pub fn begin(&mut self, machine: &CommTask) {
         if self.wants_keyframe {
             self.log.keyframe(machine, self.digest);
         }
     }
 
-    /// Records a small step that the machine has taken. `elapsed` is the time by which its clock advanced in this
-    /// step.
+    /// Records a small step that the state machine has taken. `elapsed` is the time by which its clock advanced in
+    /// this step.
     pub fn small(&mut self, elapsed: Ticks, input: &Input) {
         let step = self.step(elapsed, *input);
         self.wants_keyframe = self.log.step(&step, self.digest);
     }
 
-    /// Records the machine's part in a fused step. `digest` is that of all outputs, this part included.
+    /// Records the state machine's part in a fused step. `digest` is that of all outputs, this part included.
     #[inline]
     pub fn part(&mut self, input: Input, digest: OutputDigest) {
         let step = self.step(Ticks::ZERO, input);

@@ -71,8 +71,8 @@ pub trait Log: Send {
         false
     }
 
-    /// Records the state of the machine between two steps, with the digest of all its outputs. Called if the log wants the
-    /// state.
+    /// Records the state of the state machine between two steps, with the digest of all its outputs. Called if the
+    /// log wants the state.
     fn keyframe(&mut self, machine: &CommTask, digest: OutputDigest) {
         let _ = (machine, digest);
     }
@@ -136,8 +136,8 @@ impl Step {
     }
 }
 
-/// Runs one step as the runtime does: first the deadlines that have passed, then the input. Checks the machine after
-/// each of the two.
+/// Runs one step as the runtime does: first the deadlines that have passed, then the input. Checks the state machine
+/// after each of the two.
 fn run_checked(
     (machine, table): (&mut CommTask, &NodeTable),
     step: Step,

@@ -31,16 +31,17 @@ pub enum KeyframeError {
     /// This build cannot read the state.
     #[error("the state of {0} cannot be read: {1}")]
     Malformed(TaskId, postcard::Error),
-    /// The keyframe has more bytes than the state of a machine needs.
+    /// The keyframe has more bytes than the state of a state machine needs.
     #[error("the state of {0} has {1} bytes too many")]
     Trailing(TaskId, usize),
     /// The state belongs to another task, or to another incarnation of the node.
     #[error("the state given for {0} is that of {1} in incarnation {incarnation}", incarnation = .2.0)]
     Foreign(TaskId, TaskId, Incarnation),
-    /// The state does not belong to a machine with the ports of this task: parts are missing, too many or out of bounds.
+    /// The state does not belong to a state machine with the ports of this task: parts are missing, too many or out
+    /// of bounds.
     #[error("the state of {0} is not one of its machine")]
     OutOfBounds(TaskId),
-    /// The machine never reaches this state.
+    /// The state machine never reaches this state.
     #[error("the state of {0} breaks an invariant of its machine: {1}")]
     Unsound(TaskId, invariants::Violation),
     /// No step is missing before the keyframe, but its state or its outputs differ from those of the replay.
@@ -54,7 +55,7 @@ pub struct Replay<'t> {
     table: &'t NodeTable,
     task: TaskId,
     incarnation: Incarnation,
-    /// The replayed machine; `None` while its state is not known.
+    /// The replayed state machine; `None` while its state is not known.
     machine: Option<CommTask>,
     digest: OutputDigest,
     judged: usize,
@@ -76,7 +77,7 @@ pub struct Replay<'t> {
 }
 
 impl<'t> Replay<'t> {
-    /// The replay of `task`, whose machine begins at the start of this incarnation of its node.
+    /// The replay of `task`, whose state machine begins at the start of this incarnation of its node.
     #[must_use]
     pub fn new(table: &'t NodeTable, task: TaskId, incarnation: Incarnation, restarted: bool) -> Self {
         Self {
@@ -168,7 +169,7 @@ impl<'t> Replay<'t> {
         }
         let mut out = Digesting { digest: Some(&mut self.digest), out: &mut heard };
         let run = || run_checked((machine, self.table), entry.step, &mut out);
-        // A recording may contain anything: if the machine panics on an input, the recording is wrong.
+        // A recording may contain anything: if the state machine panics on an input, the recording is wrong.
         let ran = catch_unwind(AssertUnwindSafe(run)).ok();
         let (sound, went_wrong) = (ran.unwrap_or(Ok(())), ran.is_none());
         if let Err(violation) = sound {
@@ -339,8 +340,8 @@ impl<'t> Replay<'t> {
     }
 }
 
-/// Runs the machine of `task` through its recorded inputs, from the start of this incarnation of its node, and compares
-/// all its outputs. Returns how many steps ran.
+/// Runs the state machine of `task` through its recorded inputs, from the start of this incarnation of its node, and
+/// compares all its outputs. Returns how many steps ran.
 ///
 /// # Errors
 /// The first step whose outputs differ.

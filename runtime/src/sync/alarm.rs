@@ -1,7 +1,8 @@
 //! Decides when the Timer thread must wake: at the earliest deadline for which no task's thread sleeps (D40).
 //!
-//! Every machine of the node publishes its next expiry in a slot of its own. The Timer thread sleeps until the earliest
-//! slot. Only a still earlier expiry wakes that thread, so a stream of messages with equal time_outs never wakes it.
+//! Every state machine of the node publishes its next expiry in a slot of its own. The Timer thread sleeps until the
+//! earliest slot. Only a still earlier expiry wakes that thread, so a stream of messages with equal time_outs never
+//! wakes it.
 
 use crate::clock::{FAR, Micros, nanos_of};
 use crate::sync::handoff::Rest;
@@ -50,8 +51,8 @@ impl<P: Plants<Plant>> Alarm<P> {
         Self { slots, target: AtomicU64::new(FAR), rung: Word::new(0), plant }
     }
 
-    /// Publishes when the machine of `slot` next expires. Called under the lock of that machine, so the last store is
-    /// the newest value.
+    /// Publishes when the state machine of `slot` next expires. Called under the lock of that machine, so the last
+    /// store is the newest value.
     pub fn publish(&self, slot: usize, at: Micros) {
         let slot = &self.slots[slot].0;
         if slot.load(Ordering::Relaxed) == at {
@@ -157,8 +158,8 @@ impl<P: Plants<Plant>> Alarm<P> {
     }
 }
 
-/// Which thread serves the expiries of one machine: its task's thread if that wakes by the next expiry, otherwise the
-/// Timer thread. Changed only under the lock of that machine.
+/// Which thread serves the expiries of one state machine: its task's thread if that wakes by the next expiry,
+/// otherwise the Timer thread. Changed only under the lock of that machine.
 #[derive(Debug)]
 pub(crate) struct Cover {
     slot: usize,
@@ -192,9 +193,9 @@ impl Cover {
         }
     }
 
-    /// As [`settle`](Self::settle), for a machine whose expiries only the Timer thread serves. `now` is the machine's
-    /// time. The published expiry is kept if it is still to come and not later than `due`. So requests that are
-    /// answered in time publish only once in each time_out, and wake the Timer thread no more often. If the Timer
+    /// As [`settle`](Self::settle), for a state machine whose expiries only the Timer thread serves. `now` is the
+    /// machine's time. The published expiry is kept if it is still to come and not later than `due`. So requests that
+    /// are answered in time publish only once in each time_out, and wake the Timer thread no more often. If the Timer
     /// thread wakes too early, it advances the machine, which then publishes `due`.
     pub fn keep<P: Plants<Plant>>(&self, alarm: &Alarm<P>, now: Micros, due: Micros) {
         let published = alarm.slot(self.slot);
@@ -208,8 +209,8 @@ impl Cover {
         }
     }
 
-    /// Publishes `due`, the machine's next expiry, unless the task's thread wakes by then. `rest` says what that
-    /// thread does next.
+    /// Publishes `due`, the state machine's next expiry, unless the task's thread wakes by then. `rest` says what
+    /// that thread does next.
     pub fn settle<P: Plants<Plant>>(&mut self, alarm: &Alarm<P>, rest: Rest, due: Micros) {
         match rest {
             Rest::No => self.until = None,

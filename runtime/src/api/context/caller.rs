@@ -158,8 +158,8 @@ impl Caller {
     }
 
     /// Makes a request and waits for its answer: it spins, or waits in the link, or sleeps. The wait ends when
-    /// another thread brings the answer, at the machine's next expiry, or at `over`. Returns the answer and its age.
-    /// Passes each answer to `more`.
+    /// another thread brings the answer, at the state machine's next expiry, or at `over`. Returns the answer and its
+    /// age. Passes each answer to `more`.
     pub fn call(
         &mut self,
         asked: Micros,
