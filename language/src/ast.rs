@@ -350,7 +350,7 @@ pub enum StatementKind {
         arguments: Vec<Expr>,
         /// The task whose message the reply answers.
         asker: Option<Name>,
-        /// The number of the message of the other task.
+        /// The number of the message that another task received.
         ticket: Option<Expr>,
     },
     /// `waitfor p(args)`

@@ -29,7 +29,7 @@ fn words(all: &[impl Debug]) -> impl Iterator<Item = String> {
 
 /// The facts in which both searches must agree: the findings, and what was reached.
 fn told(verdicts: &Verdicts, is_pruned: bool) -> Vec<String> {
-    // Behind a deadlock nothing is proved of statements that were not reached.
+    // A search that stopped at a finding proves nothing about the statements that it did not reach.
     let is_told = |found: &&Finding| !(waits(found) || is_pruned && found.kind == Kind::Unreached);
     let found = verdicts.findings.iter().filter(is_told).map(|found| {
         // Starvation counts as a time_out, because the search examines only one path to decide between the two.

@@ -32,17 +32,17 @@ pub(super) enum Failure {
     Said(Box<Diagnostic>),
 }
 
-/// A label of the grammar that diagnostics treat specially.
+/// The label under which the grammar expects a name. Diagnostics treat it specially.
 pub(super) const NAME: &str = "a name";
-/// A label of the grammar that diagnostics treat specially.
+/// The label under which the grammar expects a type. Diagnostics treat it specially.
 pub(super) const TYPE: &str = "a type";
-/// A label of the grammar that diagnostics treat specially.
+/// The label under which the grammar expects an expression. Diagnostics treat it specially.
 pub(super) const EXPRESSION: &str = "an expression";
-/// A label of the grammar that diagnostics treat specially.
+/// The label under which the grammar expects an option. Diagnostics treat it specially.
 pub(super) const OPTION: &str = "an option";
-/// A label of the grammar that diagnostics treat specially.
+/// The label under which the grammar expects a usage. Diagnostics treat it specially.
 pub(super) const USAGE: &str = "a usage (`send`, `receive`, `reply`, `query`, `response`, `waitfor`)";
-/// A label of the grammar that diagnostics treat specially.
+/// The label under which the grammar expects a fault. Diagnostics treat it specially.
 pub(super) const FAULT: &str = "a fault (`loss`, `dup`, `fail`, `drift`, `crash`, `pause`, `cut`)";
 
 impl<'t> Error<'t, Tokens<'t>> for Failure {

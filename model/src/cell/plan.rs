@@ -178,11 +178,11 @@ pub enum Times {
     Auto,
     /// Actions end at their least or most time, packets arrive at their bound.
     Ends,
-    /// Actions and packets also end or arrive right after any event, between these times, in the same independent part of
-    /// the cell.
+    /// Actions also end, and packets also arrive, right after any other event in the same independent part of the cell,
+    /// within their declared times.
     Between,
-    /// Actions and packets end or arrive at every tick between these times, or at every tick that [`CellPlan::step`]
-    /// leaves.
+    /// Actions end and packets arrive at every tick of their declared times; with a [`CellPlan::step`] above 1, only at
+    /// some of these ticks.
     Every,
     /// As with `Every`, but the search uses zones: sets of times at which the same happens.
     Zones,

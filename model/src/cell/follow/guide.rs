@@ -16,7 +16,7 @@ use std::time::Instant;
 /// The number of inputs between two kept states of the follower. The search for roundings returns to a kept state to try
 /// another rounding.
 const KEEP_EVERY: usize = 32;
-/// The greatest number of the last inputs whose times may be rounded otherwise.
+/// The greatest number of the last inputs whose roundings a search may change.
 const BACK: usize = 400;
 /// A rounding is adopted at once if the model then follows this many inputs past the input at which it was stuck.
 const BEYOND: usize = 12;

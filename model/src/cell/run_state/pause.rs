@@ -134,7 +134,7 @@ impl RunState {
         }
     }
 
-    /// Begins a pause of a node that holds back these actions.
+    /// Begins a pause of a node that holds back the actions `held`.
     pub fn fall_asleep(&mut self, number: u8, node: usize, held: Vec<(u8, u8)>) {
         let number = usize::from(number);
         self.beside.paused[number] = 0;

@@ -9,7 +9,7 @@ use imrs_protocol::{NodeId, TaskId};
 
 /// One run in this many has no faults, although the cell declares some.
 const PLAIN: u8 = 8;
-/// The number of powers of two from which a duration is drawn, if the plain run does not bound it.
+/// The number of powers of two from which a duration is drawn, if the run without faults does not bound the duration.
 const MAGNITUDES: u32 = 16;
 
 /// What the plain run contains: the run that has no faults, and in which every choice is 0.
