@@ -208,8 +208,8 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// Notes that the pipe of a node has ended. Acts of the node after its last report are unknown, unless it
-    /// reported its end.
+    /// Notes that the pipe of a node has ended. Acts of the node after its last report are unknown, unless
+    /// that was its final report.
     pub fn gone(&mut self, node: NodeId) {
         let until = self.told.get_mut(node.index()).and_then(|told| told.replace(u64::MAX));
         let Some(until) = until.filter(|until| *until < u64::MAX) else { return };

@@ -132,8 +132,8 @@ impl<S> Context<S> {
         self.caller.named(name)
     }
 
-    /// Sends to all tasks at the other end of the port. Class 1 returns at once; class 2 waits for the answers. A message may be
-    /// as long as the port's format: up to 16 packets of 12 bytes.
+    /// Sends to all tasks at the other end of the port. A class-1 send returns at once; a class-2 send waits for the
+    /// answers. A message may be as long as the port's format: up to 16 packets of 12 bytes.
     ///
     /// # Errors
     /// [`TaskError`].

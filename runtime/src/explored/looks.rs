@@ -1,5 +1,5 @@
-//! Scenes of observers that look at a state machine while it works, and of a report about a packet that must not
-//! come too late.
+//! Scenes of observers that look at a state machine while it works, and of a report that a packet
+//! expired, which must reach the packet's sender before that sender decides.
 
 use super::{Listed, must_fail};
 use crate::clock::FAR;

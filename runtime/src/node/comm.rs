@@ -224,7 +224,7 @@ impl Comm {
         self.cover.keep(&self.alarm, self.now(), due);
     }
 
-    /// Whether the task may take part in a fused step. A task of a couple may not, because a pause of the node can
+    /// Whether the task may take part in a fused step (one that replaces several small steps). A task of a couple may not, because a pause of the node can
     /// end its lease. Nor may a task whose recording needs a keyframe first.
     pub const fn is_usual(&self) -> bool {
         !self.coupled && !matches!(&self.logged, Some(logged) if logged.wants_keyframe())

@@ -49,7 +49,7 @@ pub(crate) struct Inside {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum What {
     Input,
-    /// A mark that a fused step has given a signal to the member's script.
+    /// A mark: a fused step (one that replaces several small steps) has given a signal to the member's script.
     Told,
 }
 
@@ -59,7 +59,7 @@ impl Inside {
         self.inputs.push_back(input);
     }
 
-    /// Notes that a fused step has given a signal to the member's script.
+    /// Notes that a fused step (one that replaces several small steps) has given a signal to the member's script.
     pub fn told(&mut self, to: Home) {
         self.order.push_back((to, What::Told));
     }

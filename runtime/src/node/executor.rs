@@ -179,7 +179,7 @@ struct Waits<'a> {
 }
 
 impl Waits<'_> {
-    /// Waits in the link if a datagram is likely to bring the next answer; otherwise sleeps.
+    /// Waits in the link's socket if a datagram is likely to bring the next answer; otherwise sleeps.
     fn wait(&mut self) {
         let node = self.node;
         let by_link = node.futures_by_link.swap(false, Ordering::Relaxed);

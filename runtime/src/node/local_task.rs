@@ -135,7 +135,7 @@ impl LocalTask {
 }
 
 /// Makes the tasks of a node from their communication tasks, with one hand-off for each domain. `link` wakes a thread
-/// that waits in the link.
+/// that waits in the link's socket.
 pub(crate) fn local_tasks(
     comms: impl Iterator<Item = Comm>,
     table: &NodeTable,

@@ -3,7 +3,7 @@
 //! A script has no thread. It is behind the lock of its communication task, which all scripts of the node share
 //! (D186). The thread that brings input to the communication task also runs the script. So a step of the
 //! communication task and the script's reaction are one step, as in the model. Messages between tasks of the node
-//! take steps of their own, or fused steps. A script's actions begin after the lock is released, and the end of an
+//! take steps of their own, or fused steps (D176). A script's actions begin after the lock is released, and the end of an
 //! action is an input.
 
 mod actions;

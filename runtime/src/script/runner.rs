@@ -165,7 +165,7 @@ impl ScriptRunner {
         }
     }
 
-    /// Whether a fused step has given the script a signal that the script has not taken yet.
+    /// Whether the script has not yet taken a signal of a fused step (one that replaces several small steps).
     pub const fn has_input(&self) -> bool {
         self.host.has_input()
     }
@@ -186,7 +186,7 @@ impl ScriptRunner {
         self.host.tell(ScriptInput::Signal(signal));
     }
 
-    /// Makes a request of the script in one fused step, if that is possible and no watch wants to see each small
+    /// Makes a request of the script in one fused step instead of several small ones, if that is possible and no watch wants to see each small
     /// step. A REPLY is made together with the GET that the script makes next.
     fn fuse(&mut self, comm: &mut Turn<'_>, request: &Request, effects: &mut Effects) -> bool {
         if self.side.watch.is_some() {
@@ -236,7 +236,7 @@ impl ScriptRunner {
     }
 }
 
-/// The receiver of the signals of a fused step of two scripts.
+/// Receives the signals of a fused step (one that replaces several small steps) of two scripts.
 struct ToScripts<'a>(&'a mut ScriptHost);
 
 impl FusedSignals for ToScripts<'_> {

@@ -214,8 +214,8 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
     }
 
     /// Spins until an event ends the wait of the task's thread: `look` calls its argument as long as spinning pays.
-    /// From the first such call on, other threads leave their input to this thread. `take_in` receives from the link.
-    /// Returns whether there is an answer or input for the thread.
+    /// From the first such call on, other threads leave their input to this thread. `take_in` receives from the
+    /// link's socket. Returns whether there is an answer or input for the thread.
     pub fn look(
         &self,
         mut take_in: impl FnMut() -> bool,

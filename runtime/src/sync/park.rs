@@ -1,5 +1,5 @@
-//! How the thread that runs the node's futures waits: it sleeps, or it waits in the link (D127). Every waker of a
-//! future wakes this thread.
+//! How the thread that runs the node's futures waits: it sleeps, or it waits in the link's socket (D127). Every waker
+//! of a future wakes this thread.
 
 use crate::sync::Word;
 use crate::sync::handoff::ThreadWaker;
@@ -13,7 +13,7 @@ const RUNNING: u32 = 0;
 const SLEEPING: u32 = 1;
 /// The thread was called, because a future is ready to be polled.
 const CALLED: u32 = 2;
-/// The thread waits in the link, or is about to: then `waker` wakes it.
+/// The thread waits in the link's socket, or is about to: then `waker` wakes it.
 const AWAY: u32 = 3;
 
 pub(crate) struct Park<P = Sound> {
@@ -27,12 +27,12 @@ pub(crate) struct Park<P = Sound> {
 pub(crate) enum Plant {
     /// The thread waits although it was called after its last poll.
     GoesBlindly,
-    /// A thread that waits in the link is not woken.
+    /// A thread that waits in the link's socket is not woken.
     NoWaker,
 }
 
 impl Park {
-    /// Makes the state of a running thread. `waker` wakes the thread while it waits in the link.
+    /// Makes the state of a running thread. `waker` wakes the thread while it waits in the link's socket.
     pub fn new(waker: Option<Arc<dyn ThreadWaker>>) -> Self {
         Self::planted(waker, Sound)
     }

@@ -37,11 +37,11 @@ pub(crate) trait ThreadWaker: Send + Sync {
 /// What the task's thread does once the lock is released.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Rest {
-    /// The thread goes on running, and it is not known when it comes back.
+    /// The thread goes on running, and it is not known when it enters again.
     No,
-    /// The thread goes to sleep now, and comes back at the protected state's next expiry.
+    /// The thread goes to sleep now, and enters again at the protected state's next expiry.
     Begins,
-    /// The thread still sleeps, and comes back at the expiry that `settle` returned for [`Begins`](Self::Begins).
+    /// The thread still sleeps, and enters again at the expiry that `settle` returned for [`Begins`](Self::Begins).
     GoesOn,
 }
 

@@ -25,7 +25,7 @@ const RUNNING: u32 = 0;
 const SLEEPING: u32 = 1;
 /// There is an answer or input for the task's thread, or its program has ended: the thread must not sleep.
 const READY: u32 = 2;
-/// The task's thread waits in the link, or is about to: then `waker` wakes it.
+/// The task's thread waits in the link's socket, or is about to: then `waker` wakes it.
 pub(super) const AWAY: u32 = 3;
 /// The task's thread spins on its word and on the inbox.
 const LOOKING: u32 = 4;
@@ -39,7 +39,7 @@ pub(crate) enum Plant {
     NoMark,
     /// The futex word is set to `READY`, but no thread is woken.
     NoWake,
-    /// The waker does not wake a thread that waits in the link.
+    /// The waker does not wake a thread that waits in the link's socket.
     NoWaker,
     /// Stopping a task does not wake the task's thread.
     SilentStop,

@@ -157,9 +157,9 @@ impl Caller {
         position.map(TaskId::from_index).ok_or_else(|| TaskError::NoTask(name.into()))
     }
 
-    /// Makes a request and waits for its answer: it spins, or waits in the link, or sleeps. The wait ends when
-    /// another thread brings the answer, at the state machine's next expiry, or at `over`. Returns the answer and its
-    /// age. Passes each answer to `more`.
+    /// Makes a request and waits for its answer: it spins, or waits in the link's socket, or sleeps. The wait ends
+    /// when another thread brings the answer, at the state machine's next expiry, or at `over`. Returns the answer
+    /// and its age. Passes each answer to `more`.
     pub fn call(
         &mut self,
         asked: Micros,
@@ -215,8 +215,8 @@ impl Caller {
     }
 
     /// Waits for an answer, but at most until `until`. If this thread can lead, and the answer is likely to come from
-    /// the link, it waits in the link; otherwise it sleeps. `now` may be a little old. `waited` says that the task
-    /// has waited for the same answer before.
+    /// the link, it waits in the link's socket; otherwise it sleeps. `now` may be a little old. `waited` says that
+    /// the task has waited for the same answer before.
     fn wait(&mut self, kind: Option<Kind>, now: Micros, until: Micros, waited: bool) {
         if self.effects.holds {
             // Sent packets must leave before the task waits, although `together` holds them.

@@ -74,8 +74,8 @@ counts! {
     GoodbyesSent = "goodbyes_sent",
     /// Neighbours that have said goodbye, once for each of their sessions.
     GoodbyesReceived = "goodbyes_received",
-    /// How often the node asked a neighbour for an echo, because the neighbour's session or counter could not be told from
-    /// an old one.
+    /// How often the node asked a neighbour for an echo, because the neighbour's session or counter could not be
+    /// distinguished from an old one.
     EchoesAsked = "echoes_asked",
     /// Counters of neighbours that one datagram had set too far ahead, and that a later datagram corrected.
     CountersMended = "counters_mended",

@@ -121,7 +121,7 @@ fn get<const RECORDS: bool>(
     done
 }
 
-/// What the recordings of the two tasks of a fused step need: of the task that asks, and of its partner.
+/// The data that the recordings of a fused step's two tasks need: the task that asks, and its partner.
 struct Parts<'a> {
     /// The recording of the task that asks, then that of its partner.
     own: Option<&'a mut Logged>,
@@ -164,7 +164,7 @@ impl<'a> Parts<'a> {
     }
 }
 
-/// Where the signals of a fused step go.
+/// Receives the signals of a fused step (one that replaces several small steps).
 pub(crate) trait FusedSignals {
     /// Takes a signal to the task that makes the request.
     fn own(&mut self, answer: Completion);
@@ -172,7 +172,7 @@ pub(crate) trait FusedSignals {
     fn other(&mut self, member: usize, script: Option<&mut ScriptRunner>, answer: Completion);
 }
 
-/// The outbox of a fused GET.
+/// The outbox of a GET that is taken in one fused step.
 struct Got<'a, S, const RECORDS: bool> {
     at: Micros,
     ring: &'a mut Ring,
@@ -197,7 +197,7 @@ impl<S: FusedSignals, const RECORDS: bool> NodeOutbox for Got<'_, S, RECORDS> {
     }
 }
 
-/// The outbox of one fused step. A fused step drops no message and sends no packet.
+/// The outbox of one fused step (which replaces several small steps). A fused step drops no message and sends no packet.
 struct Fused<'a, S, const RECORDS: bool> {
     at: Micros,
     task: TaskId,

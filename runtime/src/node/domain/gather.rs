@@ -42,7 +42,7 @@ impl Turn<'_> {
     }
 }
 
-/// The members of a domain during a fused arrival.
+/// The members of a domain during an arrival that is one fused step.
 struct Gathered<'a, S, const RECORDS: bool> {
     at: Micros,
     /// The home of the task that arrives.
@@ -103,7 +103,8 @@ impl<S: FusedSignals, const RECORDS: bool> Members for Gathered<'_, S, RECORDS> 
     }
 }
 
-/// The outbox of a member in a fused arrival. A fused arrival drops no message and uses no Timer.
+/// The outbox of a member when all members of a `waitfor` take one fused step. Such a step drops no message, and uses
+/// no Timer.
 struct Gathers<'a, S, const RECORDS: bool> {
     at: Micros,
     home: Home,
