@@ -55,8 +55,8 @@ fn cell(text: &str, times: Times) -> Text {
 
 type Key = (Kind, Phase, Vec<TaskId>, Option<u16>, Option<usize>, Option<usize>);
 
-/// The findings, each as a text by which it can be compared. Starvation counts as a time_out, because it is judged on one
-/// path only.
+/// The findings, each as a text by which it can be compared. Starvation counts as a time_out, because the search
+/// examines only one path to decide between the two.
 fn keys(verdicts: &Verdicts) -> BTreeSet<String> {
     let key = |finding: &Finding| -> Key {
         let kind = if finding.kind == Kind::Starves { Kind::TimeOut } else { finding.kind };

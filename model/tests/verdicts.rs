@@ -11,7 +11,7 @@ fn kinds(text: &str) -> Vec<Kind> {
     all(&Text::new(text)).into_iter().map(|(kind, _)| kind).collect()
 }
 
-/// Nodes are not ordered within a tick: one node's value before the tick and another's after it may hold at once.
+/// Nodes are not ordered within a tick: a check may see one node's value before the tick and another node's after it.
 #[test]
 fn a_check_that_reads_two_nodes_holds_in_either_order_of_a_tick() {
     let gate = |left: &str, right: &str, turn: &str| {

@@ -346,8 +346,8 @@ impl<'h> Writer<'h, '_> {
         values.iter().for_each(|value| self.emit.ops(&value.ops));
     }
 
-    /// Emits `write`, which stores into these variables. Then emits the start or stop of each silence timer whose condition
-    /// reads one of them.
+    /// Emits the operations of `write`, which store into these variables. Then emits the start or stop of each silence
+    /// timer whose condition reads one of them.
     fn store(&mut self, into: &[Destination], write: impl FnOnce(&mut Self)) {
         let slots: Vec<Slot> = into.iter().map(|to| to.slot).collect();
         let silences = std::mem::take(&mut self.silences);

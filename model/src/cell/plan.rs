@@ -189,9 +189,9 @@ pub enum Times {
 }
 
 impl Times {
-    /// The most states that finer times may take without faults before the search tries coarser times.
+    /// The most states that a search at finer event times may take without faults, before coarser times are tried.
     pub const AUTO_STATES: u64 = 30_000;
-    /// The most states that finer times may take with faults, before the search tries coarser times.
+    /// The most states that a search at finer event times may take with faults, before coarser times are tried.
     pub const AUTO_STATES_WITH_FAULTS: u64 = 8_000;
 }
 

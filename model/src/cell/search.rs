@@ -40,7 +40,7 @@ struct Search {
     longest: usize,
     outgrown: bool,
     graph: StateGraph,
-    /// For each kept state, the fingerprint of its core: of all its bytes but its remaining faults.
+    /// For each kept state, the fingerprint of its core: all bytes of the state except its remaining faults.
     cores: Vec<u64>,
     sample: unfinished::Sample,
     /// The least depth in the last batch, if a budget ended the search before all results of that batch were merged.

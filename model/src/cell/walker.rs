@@ -11,7 +11,7 @@ use crate::state::Violation;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-/// After this many moves without an alternative, a state is kept in any case.
+/// After this many moves without an alternative, the search keeps (stores) the state in any case.
 const WALK: u16 = 512;
 
 /// How a kept state was first reached: its parent, which of the parent's moves, and the number of choices on the path.

@@ -70,8 +70,8 @@ impl CellState {
         let mut behind = if self.counts_behind() { self.behind_from(&bases) } else { Vec::new() };
         out.push(0);
         Encode::append(out, &frame, |w| self.walk(&mut behind, w))?;
-        // Packets arrive in the order in which they left. In the search of a cell the packets are already sorted by their
-        // links.
+        // Packets of a link are packed in the order in which they left, because they arrive in that order. In the
+        // search of a cell the packets are already sorted by their links.
         let is_in_order =
             self.plan.transfer == Transfer::Exact && self.in_flight.is_sorted_by_key(|carried| carried.link);
         if is_in_order {

@@ -63,8 +63,8 @@ pub(super) enum Rounding {
     Down,
     /// The remaining time of the packet is one tick less.
     Charged,
-    /// A late node counts the ticks that it missed in the unusual way: all at once for timers, and deadline by deadline
-    /// for communication tasks.
+    /// The reverse of the usual rule for a late node: it counts all missed ticks at once for timers, and deadline by
+    /// deadline for communication tasks.
     Otherwise,
     /// The timer or delay whose end the run shows ends first in its tick, before the time_outs of that tick.
     First,
