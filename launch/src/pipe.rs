@@ -30,7 +30,7 @@ pub struct Setup {
     pub incarnation: u8,
     /// Whether an earlier incarnation may have taken requests (D49).
     pub restarted: bool,
-    /// Whether the node counts its incarnations itself, because it is the only one that this launcher runs.
+    /// Whether the node counts its incarnations itself, because it is the only node that this launcher runs.
     pub counts: bool,
     /// The address of the node's socket; `None` means any free port of the loopback.
     pub bind: Option<SocketAddr>,

@@ -1,10 +1,10 @@
 //! Reads `CLOCK_BOOTTIME` through the processor's counter, where the kernel itself keeps time by that counter.
 //!
-//! A thread takes a reading of both clocks, an [`Anchor`], and for the next [`AGE`] derives the time from the counter
-//! alone. The result is a pair of bounds. An expiry is decided by the earlier bound, and a request is stamped with the
-//! later one, so neither an error of the rate nor the order of two readings makes anything end early. If a new anchor
-//! lies outside of the bounds of the anchor before it, this process stops using the counter. A suspend has the same
-//! effect: only the kernel's clocks say how long it was (D197).
+//! A thread takes a reading of both clocks, an [`Anchor`]. For the next [`AGE`] it derives the time from the counter
+//! alone. The result is a pair of bounds. The earlier bound decides whether a deadline has passed, and a request is
+//! stamped with the later one. So neither an error of the rate nor the order of two readings ends anything early. If
+//! a new anchor lies outside of the bounds of the anchor before it, this process stops using the counter. A suspend
+//! has the same effect, because only the kernel's clocks know how long it was (D197).
 
 use std::cell::Cell;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -19,8 +19,8 @@ const BRIEF: u64 = 2_000;
 /// kernel adjusts its clocks by at most 500 in a million. The rate is wrong by at most [`BRIEF`] / [`BASE`] to either
 /// side, which is 200 in a million.
 const SHARE: u64 = 1_024;
-/// The two bounds of a time lie this much further apart (ns), because a processor may read its counter before it has
-/// done the instructions in front of the reading.
+/// The two bounds of a time lie this much further apart (ns). A processor may read its counter before it has executed
+/// the instructions in front of the reading.
 const SLACK: u64 = 100;
 /// The number of bits behind the binary point of a rate.
 const POINT: u32 = 32;

@@ -80,7 +80,7 @@ struct Flight {
     packet: Packet,
 }
 
-/// A packet that has arrived, and whether the incarnation that sent it was known before.
+/// A packet that has arrived, and whether its receiver knew the sending incarnation before.
 #[derive(Clone, Copy, Debug)]
 struct Landed {
     flight: Flight,

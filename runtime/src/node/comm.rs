@@ -170,13 +170,13 @@ impl Comm {
         }
     }
 
-    /// The state of the state machine, with up to `queue_limit` waiting messages of each port, and the instant at which it
-    /// was so.
+    /// The state of the state machine at an instant, with up to `queue_limit` waiting messages of each port, and that
+    /// instant.
     pub fn view(&self, queue_limit: impl Fn(PortId) -> usize) -> (TaskView, Micros) {
         (self.machine.view_of(&self.table, queue_limit), self.now())
     }
 
-    /// The messages that wait at a port, and the instant at which they did.
+    /// The messages that wait at a port at an instant, and that instant.
     pub fn queue(&self, port: PortId, limit: usize) -> Option<(QueueView, Micros)> {
         Some((self.machine.queue_view(port, limit)?, self.now()))
     }
@@ -224,8 +224,8 @@ impl Comm {
         self.cover.keep(&self.alarm, self.now(), due);
     }
 
-    /// Whether the task may take part in a fused step (one that replaces several small steps). A task of a couple may not, because a pause of the node can
-    /// end its lease. Nor may a task whose recording needs a keyframe first.
+    /// Whether the task may take part in a fused step (one that replaces several small steps). A task of a couple may
+    /// not, because a pause of the node can end its lease. Nor may a task whose recording needs a keyframe first.
     pub const fn is_usual(&self) -> bool {
         !self.coupled && !matches!(&self.logged, Some(logged) if logged.wants_keyframe())
     }

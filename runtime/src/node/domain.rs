@@ -62,7 +62,7 @@ impl Domain {
         &mut self.members[member]
     }
 
-    /// Works on the script of a member, together with its communication task.
+    /// Calls `work` with the script of a member, if it has one, and with the member's communication task.
     pub fn with_runner(
         &mut self,
         member: usize,

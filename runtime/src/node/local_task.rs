@@ -104,7 +104,7 @@ impl LocalTask {
         self.handoff.leave(self.addressed(stamped)).map_err(|input| input.stamped)
     }
 
-    /// Works on the task's script, if it has one, from any thread.
+    /// Calls `work` with the task's script, if it has one. Any thread may call this.
     pub fn with_runner(
         &self,
         effects: &mut Effects,

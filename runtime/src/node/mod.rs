@@ -1,9 +1,9 @@
 //! A running node: the parts of [`imrs_protocol::Node`], each behind its own lock (D38, D39), except that the
 //! communication tasks of a [domain](domain) share one lock (D186).
 //!
-//! Nothing here runs by itself. The thread that brings input (a task's thread, the receiving thread, the Timer thread) takes one
-//! lock, releases it, and carries out the effects that the machine asked for, one after another. No thread takes two locks at
-//! once.
+//! Nothing here runs by itself. A thread that brings input is a task's thread, the receiving thread or the Timer
+//! thread. It takes one lock, releases it, and carries out the effects that the state machine asked for. No thread
+//! takes two locks at once.
 
 pub(crate) mod comm;
 pub(crate) mod domain;

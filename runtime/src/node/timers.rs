@@ -68,7 +68,7 @@ impl Timers {
         self.publish(&state);
     }
 
-    /// The entries with their remaining times, soonest first, and the instant for which these times are true.
+    /// The entries with their remaining times at an instant, soonest first, and that instant.
     pub fn entries(&self) -> (Vec<(TaskId, TimeId, Ticks)>, Micros) {
         let state = lock(&self.state);
         let mut entries = state.attended.entries();

@@ -54,8 +54,8 @@ impl Dispatch {
         now: Micros,
     ) -> Self {
         let neighbours: Vec<NodeId> = table.neighbours(table.node).collect();
-        // While another thread sends, this thread puts its gathered packets into the buffer. They may fill at most a
-        // quarter.
+        // While another thread sends, this thread puts its gathered packets into the buffer: at most a quarter of its
+        // room.
         let room = (usize::from(transit.view().capacity) / 4).max(MAX_PACKETS);
         let at_once = link.as_ref().map_or(MAX_PACKETS, |link| link.at_once()).min(room);
         let batch = |&next: &NodeId| Batch { next, packets: Vec::with_capacity(at_once), most: 0 };
@@ -120,7 +120,7 @@ impl Dispatch {
         self.publish(&buffer);
     }
 
-    /// The state of the buffer, and the instant at which it was so.
+    /// The state of the buffer at an instant, and that instant.
     pub fn view(&self) -> (TransitView, Micros) {
         let buffer = lock(&self.buffer);
         (buffer.transit.view(), buffer.now())

@@ -5,7 +5,7 @@ use imrs_wire::obs::TimedEvent;
 /// What one reader read from the rings of all state machines at one time.
 #[derive(Default)]
 pub(crate) struct Batch {
-    /// For each ring what was read of it: in the order of the tasks, the transit buffer last.
+    /// What was read of each ring. The rings are in the order of the tasks; that of the transit buffer is last.
     pub runs: Vec<Run>,
     /// The observations of the wanted rings, one ring after the other.
     pub events: Vec<TimedEvent>,

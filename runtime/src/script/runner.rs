@@ -186,8 +186,8 @@ impl ScriptRunner {
         self.host.tell(ScriptInput::Signal(signal));
     }
 
-    /// Makes a request of the script in one fused step instead of several small ones, if that is possible and no watch wants to see each small
-    /// step. A REPLY is made together with the GET that the script makes next.
+    /// Makes a request of the script in one fused step instead of several small ones, if that is possible and no
+    /// watch wants to see each small step. A REPLY is made together with the GET that the script makes next.
     fn fuse(&mut self, comm: &mut Turn<'_>, request: &Request, effects: &mut Effects) -> bool {
         if self.side.watch.is_some() {
             return false;

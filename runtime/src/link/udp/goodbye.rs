@@ -60,7 +60,7 @@ impl Together<'_> {
             link.proof(peer, known.as_ref(), envelope, by).or_else(|| link.sent_after(envelope, at));
         let contact =
             judge(known.as_ref(), envelope, sent_after, || false).map_err(|unheard| unheard.reason)?;
-        // The packets that wait here were sent before the goodbye, so they are handed over first.
+        // The decoded packets that were not handed over yet were sent before the goodbye, so they go first.
         self.hand_over();
         if let Contact::New { .. } = contact {
             if sent_after.is_none() {

@@ -263,9 +263,9 @@ impl UdpLink {
         }
     }
 
-    /// Handles a datagram of another version from the address of a neighbour. If this node has not talked
-    /// with that neighbour yet, it records a hint for people, and the first time it sends the neighbour a
-    /// datagram, which shows the neighbour the version of this node. The rest of the datagram cannot be read.
+    /// Handles a datagram of another version from a neighbour's address. If this node has talked with that neighbour
+    /// before, nothing happens. Otherwise it records a hint for people. The first time, it also sends the neighbour a
+    /// datagram, which shows this node's version. The rest of the received datagram cannot be read.
     fn hint_at_version(&self, peer: &Peer) {
         if peer.met.load(Ordering::Relaxed) {
             return;

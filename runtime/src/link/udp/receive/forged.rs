@@ -129,7 +129,7 @@ fn copies_of_a_request_for_a_session_draw_64_answers_in_50_ms() {
     assert!((64..=64 * spans).contains(&answers), "{answers} answers in {spans} spans");
 }
 
-/// The id of another user of the machine, who does not run the nodes.
+/// The id of another user of this computer, who does not run the nodes.
 const OTHER: u32 = 61_002;
 
 /// Whether this process may act as another user. If not, the test is skipped with a message; with `IMRS_REQUIRE_ALL=1`
@@ -144,7 +144,7 @@ fn may_be_another() -> bool {
     may
 }
 
-/// Sends datagrams as another user of the machine, each as soon as it is asked to.
+/// Sends, as another user of this computer, each datagram that the channel `asked` brings.
 fn another_user(asked: Receiver<(SocketAddr, Vec<u8>)>, sent: &Sender<usize>) {
     let (user, group) = (Uid::from_raw(OTHER), Gid::from_raw(OTHER));
     set_thread_groups(&[]).expect("no groups");
