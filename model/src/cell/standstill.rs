@@ -124,7 +124,7 @@ pub(super) fn tell(
     if !moves.iter().all(|&step| run_state.survives(step)) {
         return None;
     }
-    // The steps of scripts before the standstill are dropped, because they are not part of it.
+    // The steps of scripts before the standstill are dropped, because they are not part of the standstill.
     run_state.cell.turns.iter_mut().for_each(Vec::clear);
     let seen = Round::walk(&mut run_state, &mut moves)?;
     let asks = seen.asks();

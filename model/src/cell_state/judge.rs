@@ -434,7 +434,7 @@ impl CellState {
                 if activation.does != Does::Waits || activation.left == Activation::FOREVER {
                     continue;
                 }
-                // A wait that a handler interrupted learns that it has ended only when the handler returns.
+                // A task whose wait a handler interrupted learns only when the handler returns that the wait has ended.
                 if activation.left == 0 && i == last {
                     return Err(Violation::NoOutcome);
                 }

@@ -12,8 +12,8 @@ use imrs_protocol::{Decode, Encode, Frame, Ticks, Walk};
 /// in this tick.
 const TICK_VALUES: u8 = 0xff;
 
-/// The remaining faults, one byte for each budget, pause and cut. If every byte is at least as great as in another state, a
-/// superset of its moves is allowed.
+/// The remaining faults, one byte for each budget, pause and cut. If every byte is at least as great as in another
+/// state, the state allows every move of that other state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::cell) struct Left([u8; 8]);
 

@@ -338,7 +338,7 @@ impl<'a> Driver<'a> {
         moves.iter().copied().find(arrives)
     }
 
-    /// The age at which a packet arrives that may arrive before the link's bound.
+    /// The age in ticks at which a packet arrives, if it may arrive before the link's bound.
     fn arrives(&mut self, link: usize, (age, bound): (u32, u32)) -> u32 {
         let nth = self.lines[link].arrived + 1;
         match self.lines[link].chosen {
