@@ -90,7 +90,7 @@ pub enum Word {
         /// The TCP address at which the node serves monitors.
         observe: Option<SocketAddr>,
     },
-    /// The node was restarted, and the scripts of these tasks are held back, each for this many microseconds.
+    /// The node was restarted, and the scripts of these tasks do not begin yet: each waits for this many microseconds.
     HeldBack(Vec<(TaskId, u64)>),
     /// The node's tasks run.
     Started,
@@ -134,7 +134,7 @@ pub enum EndSort {
     Failed,
 }
 
-/// An event of one task at a waitfor.
+/// An event of one task at a waitfor (a rendezvous of tasks).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Event {
     /// The instant of the event, in microseconds of the boot-time clock that all processes of one machine share.
@@ -149,7 +149,7 @@ pub struct Event {
     pub what: What,
 }
 
-/// What happened at a waitfor.
+/// What happened to a task at a waitfor (a rendezvous of tasks).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum What {

@@ -127,8 +127,8 @@ fn a_restarted_node_tells_for_how_long_its_scripts_are_held_back() {
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
     let mut monitor = Monitor::unix(socket(&observer)).attach(NEW);
     monitor.say(&ClientFrame::Want(want()));
-    // The frame about held-back scripts is sent before the first state, for a monitor that looks only once. Then it is
-    // sent again, for a monitor that begins to record.
+    // The frame about scripts that do not begin yet is sent before the first state, for a monitor that looks only once.
+    // Then it is sent again, for a monitor that begins to record.
     let ServerFrame::HeldBack(first) = monitor.next() else { panic!("what is held back comes first") };
     assert_eq!(first.tasks.iter().map(|held| held.task).collect::<Vec<_>>(), [A]);
     let mut state = Snapshot::default();

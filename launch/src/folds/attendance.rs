@@ -18,7 +18,7 @@ const MOST_WRAPS: i64 = 400;
 /// The rounds of a waitfor in which a member took part.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Attended {
-    /// The waitfor's port.
+    /// The port of the waitfor (a rendezvous of tasks).
     pub port: PortId,
     /// The member.
     pub task: TaskId,

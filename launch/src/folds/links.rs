@@ -92,7 +92,7 @@ pub fn join(sum: &mut Vec<LinkReport>, more: &[LinkReport]) {
 }
 
 impl SecuritySummary {
-    /// The security events among the drops of a node's link.
+    /// Counts the datagrams that a node's link dropped, and that no node of the cell sent.
     pub fn new(link_discards: &BTreeMap<String, u64>, alarms: u64) -> Self {
         let is_one = |(name, _): &(&String, &u64)| SECURITY.contains(&name.as_str());
         let events = link_discards.iter().filter(is_one).map(|(name, n)| (name.clone(), *n)).collect();

@@ -256,7 +256,7 @@ impl<'a> Timeline<'a> {
         }
     }
 
-    /// Adds a line for each script of a restarted node that is held back. The line says for how long.
+    /// Adds a line for each script of a restarted node that does not begin yet. The line says when it will.
     fn held_back(&mut self, at: u64, node: NodeId, held: &[(TaskId, u64)]) {
         let all = self.loaded.table.tasks_on(node).count() == held.len();
         let mut by_time: BTreeMap<u64, Vec<&str>> = BTreeMap::new();

@@ -11,7 +11,7 @@ use crate::sync::ready::ReadyFutures;
 use crate::sync::task_waker::TaskWaker;
 use std::task::{Wake, Waker};
 
-/// A state machine whose task may have made a request. Like the real machine, it confirms a cancellation even if the
+/// A state machine whose task may have made a request. Like the real one, it confirms a cancellation even if the
 /// task does not wait.
 #[derive(Default)]
 struct Asked {

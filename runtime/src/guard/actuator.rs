@@ -370,7 +370,7 @@ impl Deadline {
 /// The values that the runtime passes to a command in environment variables.
 #[derive(Clone, Debug)]
 pub struct Orders {
-    /// The epoch of the lease of the command's task; `None` if the task is in no couple.
+    /// The epoch of the lease of the command's task; `None` if the task has no partner with which it shares a lease.
     pub epoch: Option<u8>,
     /// Until when the command may act; [`Deadline::none`] if no runtime started the program.
     pub deadline: Deadline,

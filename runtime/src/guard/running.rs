@@ -1,4 +1,4 @@
-//! A running guard, from the point of view of its node.
+//! A running guard (the process that ends a command with its node), from the point of view of the node.
 
 use super::kin::parent_of;
 use super::words::{Lines, Outcome, lease, read_began};
@@ -15,7 +15,7 @@ use std::process::{Child, ChildStdin, ChildStdout};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// A running guard.
+/// A running guard: the process that ends a command with its node.
 pub struct Running {
     state: Mutex<State>,
     over: Condvar,

@@ -1,4 +1,4 @@
-//! The communication tasks of a node, each behind its hand-off.
+//! The communication tasks of a node, each behind its hand-off: a lock with an inbox for the input of other threads.
 
 use crate::node::comm::Comm;
 use crate::node::domain::{Domain, Turn};
@@ -22,7 +22,7 @@ pub(crate) const BEGUN: u64 = u64::MAX;
 pub(crate) struct LocalTask {
     pub task: TaskId,
     pub home: Home,
-    /// The hand-off of the task's domain.
+    /// The hand-off of the task's domain: the lock that its tasks share, with an inbox for input.
     pub handoff: Arc<Handoff<Domain>>,
     waker: TaskWaker,
     liveness: AtomicU8,

@@ -243,7 +243,7 @@ impl Buffer {
         self.transit.now().0
     }
 
-    /// A packet whose remaining time was true at `at`, charged for the time until now.
+    /// Reduces the packet's remaining time, which was true at `at`, by the time since then.
     fn charged(
         &mut self,
         table: &NodeTable,

@@ -35,7 +35,8 @@ pub struct Act<'a> {
     pub least: Duration,
     /// The longest time that the action takes.
     pub most: Duration,
-    /// The lease under which the task began the action; `None` if the task is in no couple, or does not hold the lease.
+    /// The lease under which the task began the action. `None` if the task is in no couple (a primary and its standby), or
+    /// does not hold the lease.
     pub lease: Option<HeldLease>,
 }
 

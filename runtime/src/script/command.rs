@@ -87,7 +87,7 @@ pub enum CommandError {
         /// The error of the operating system.
         why: io::Error,
     },
-    /// The guard cannot be started, so the command's program was not started.
+    /// The guard (a process that ends the command with its node) cannot be started, so the command was not started.
     #[error(
         "cannot start the guard `{program}` of commands: {why}; install `imrs-guard` beside this program"
     )]
@@ -111,7 +111,7 @@ pub enum CommandError {
     /// The lease of the command's task ended, and the command was killed.
     #[error("killed at the end of its lease")]
     LeaseEnded,
-    /// The guard of the command was killed.
+    /// The guard (the process that ends the command with its node) was killed.
     #[error("its guard was killed: processes that the command started may still run")]
     Unguarded,
 }
@@ -200,7 +200,7 @@ impl Commands {
         }
     }
 
-    /// Starts the guard of a command.
+    /// Starts the guard of a command: a process that runs the command, and ends it with its node.
     fn start(&self, act: &Act<'_>, words: &[String]) -> Result<(Running, Option<Announced>), CommandError> {
         let told = self.announce(act.task).map_err(CommandError::Notices)?;
         let errand = self.errand(act, words, told.as_ref());

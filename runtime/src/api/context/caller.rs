@@ -275,7 +275,7 @@ impl Caller {
         }
     }
 
-    /// A handler failed: from now on every call fails.
+    /// Makes every later call of the program fail, because a handler failed.
     pub fn fail(&mut self, error: TaskError) {
         self.give_up();
         self.failed.get_or_insert(error);

@@ -264,7 +264,7 @@ impl UdpLink {
     }
 
     /// Handles a datagram of another version from a neighbour's address. If this node has talked with that neighbour
-    /// before, nothing happens. Otherwise it records a hint for people. The first time, it also sends the neighbour a
+    /// before, nothing happens. For the first such datagram otherwise, records a hint for people, and sends the neighbour a
     /// datagram, which shows this node's version. The rest of the received datagram cannot be read.
     fn hint_at_version(&self, peer: &Peer) {
         if peer.met.load(Ordering::Relaxed) {

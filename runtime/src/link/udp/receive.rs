@@ -205,7 +205,7 @@ pub(super) struct Together<'a> {
     /// Decoded packets that were not handed to the sink yet.
     decoded: &'a mut Vec<Packet>,
     plain: &'a mut Box<[u8]>,
-    /// The sender of the packets in `decoded`, and their charge.
+    /// The sender of the packets in `decoded`, and by how much their remaining times are reduced.
     of: Option<(NodeId, Ticks)>,
     /// How many of the datagrams were greetings, and how many belonged to handshakes: anybody can repeat those.
     greetings: u64,

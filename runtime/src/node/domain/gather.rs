@@ -45,7 +45,7 @@ impl Turn<'_> {
 /// The members of a domain during an arrival that is one fused step.
 struct Gathered<'a, S, const RECORDS: bool> {
     at: Micros,
-    /// The home of the task that arrives.
+    /// The home (domain and position) of the task that arrives.
     own: Home,
     members: &'a mut [Comm],
     homes: &'a Homes,
