@@ -2,7 +2,7 @@
 //!
 //! The kernel stamps a datagram with the *wall clock* when it arrives, and the wall clock may be set at any time. So
 //! a stamp counts only if the wall clock and the monotonic clock advanced equally since the socket was last seen
-//! empty. Otherwise the datagram is charged that whole time, because it may have arrived at any moment since then,
+//! empty. Otherwise that whole time counts as waiting, because the datagram may have arrived at any moment since then,
 //! but not earlier.
 
 use crate::clock;
@@ -175,7 +175,7 @@ mod tests {
     }
 
     proptest! {
-        /// The test sets the wall clock by any amount at any moment. The charge is never less than the true time
+        /// The test sets the wall clock by any amount at any moment. The computed wait is never less than the true one
         /// (except for tolerated rounding), and never more than the time since the socket was seen empty.
         #[test]
         fn never_too_little(

@@ -353,8 +353,8 @@ impl Node {
         }
     }
 
-    /// Handles packets that arrived together. All get one instant and one charge, so that none counts as older than a
-    /// packet that was sent before it. Each task takes its packets under one lock.
+    /// Handles packets that arrived together. All get one instant, and lose the same remaining time (`charge`). So none
+    /// counts as older than a packet that was sent before it. Each task takes its packets under one lock.
     fn receive(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Micros, effects: &mut Effects) {
         for &packet in packets {
             match arrived(&self.table, from, packet, charge) {

@@ -88,7 +88,7 @@ impl ScriptRunner {
             return;
         }
         if let Input::Packet(packet) = &mut input {
-            // The packet is charged for the time for which it waited for this step.
+            // The packet's remaining time is reduced by the time for which it waited for this step.
             packet.remaining = packet.remaining - Ticks((comm.now() + elapsed.0).saturating_sub(stamped.at));
         }
         self.step(comm, Step { elapsed, input }, effects);

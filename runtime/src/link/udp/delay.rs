@@ -146,8 +146,8 @@ mod tests {
     }
 
     proptest! {
-        /// Tests two clocks that drift, delays of any length, and echoes held for any time: the charge is never less than
-        /// the truth, and the lower bound never more.
+        /// Tests two clocks that drift, delays of any length, and echoes held for any time: `longest` is never less
+        /// than the true time, and `shortest` never more.
         #[test]
         fn the_truth_lies_between_the_bounds(
             ppm in -190..190_i64, offset in 0..1_000_000_000_i64,
@@ -160,7 +160,7 @@ mod tests {
             };
             let mut d = LinkDelay::new(DECLARED);
             let mut now = 1_000_000;
-            // The first round trip has an echo, because without an echo the charge depends on the declared bound.
+            // The first round trip has an echo, because without an echo `longest` depends on the declared bound.
             for (i, (out, back, held, echoed)) in trips.into_iter().enumerate() {
                 let (sent, heard) = (now, now + out);
                 let tx = theirs(heard + held);

@@ -187,8 +187,8 @@ impl UdpLink {
             Evidence::ClockSet => UdpCount::ClockSet,
         };
         self.statistics.add(count, 1);
-        // The whole time since the socket was seen empty is charged. `Instant` stands still while the machine is suspended, so
-        // that time is added.
+        // The whole time since the socket was seen empty counts as waiting. `Instant` does not advance while the machine is
+        // suspended, so that time is added.
         let slept = clock::look_for_suspend().saturating_sub(empty.suspended);
         Ticks(waited.saturating_add(slept))
     }
@@ -219,7 +219,7 @@ impl Together<'_> {
     /// Checks each datagram by itself, and hands over its packets. Returns how many datagrams there were, and how
     /// many of them were accepted.
     ///
-    /// All datagrams of one neighbour in one call have one charge, and their packets are handed over together.
+    /// All datagrams of one neighbour in one call lose the same remaining time, and are handed over together.
     /// Otherwise a later packet would count as older if the clock advanced between two datagrams (D126).
     fn deliver(mut self, received: &Received<'_>) -> (usize, usize) {
         let mut count = 0;
