@@ -271,8 +271,8 @@ fn steps() -> impl Strategy<Value = Vec<Step>> {
 }
 
 proptest! {
-    /// No command that can still arrive is dropped for space while the buffer holds status (D60). The clock may also be set
-    /// back to zero at any moment.
+    /// No command that can still arrive is dropped for lack of space while the buffer holds status messages (D60). The
+    /// clock may also be set back to zero at any moment.
     #[test]
     fn no_command_goes_for_space_while_status_is_held(steps in steps(), capacity in 1..5_u16, mask: u64) {
         let (mut rig, mut rebased) = (Rig::new(capacity), Rig::new(capacity));
@@ -320,7 +320,7 @@ fn a_full_buffer_says_so_without_dropping_another_command() {
     let out = rig.offer(Packet { source: TaskId(3), ..command(2, 30) });
     let word = out.words.first().expect("the source hears of it");
     assert_eq!(word, "REFUSED ON THE WAY T2>T3 #2 for 30");
-    // The refusal is itself a packet for a task of another node. It enters the buffer again, and finds space of its own.
+    // The refusal is a packet for a task of another node. It enters the same buffer, where refusals have their own queue.
     let said = Control::RefusedOnTheWay.to_contents();
     let word = Packet {
         kind: Kind::Control,

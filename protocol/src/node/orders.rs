@@ -26,7 +26,8 @@ enum Kind {
 }
 
 impl Node {
-    /// Lets time pass as [`NodeInput::Time`](super::NodeInput::Time) does, but queues it for tasks that then have something due.
+    /// Lets time pass as [`NodeInput::Time`](super::NodeInput::Time) does, but queues the passed time as an input of each task
+    /// that then has something due.
     pub fn let_pass(&mut self, now: Instant, out: &mut impl NodeOutbox) {
         let Some(elapsed) = self.begin_time(now, out) else { return };
         for at in 0..self.parts.tasks.len() {

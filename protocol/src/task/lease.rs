@@ -100,7 +100,7 @@ pub(crate) struct Lease {
     call: Option<Call>,
 }
 
-/// The codes that stand in the answer to a heartbeat for the role of its sender.
+/// The codes for the sender's role in the answer to a heartbeat.
 const WAITS: u8 = 0;
 const LEASED: u8 = 1;
 const ALONE: u8 = 2;

@@ -139,7 +139,7 @@ impl Machines {
         self.grant(step, granted);
     }
 
-    /// The lowest request from position `from` on at which something is due.
+    /// The position of the first outstanding request, from `from` on, whose time_out or retransmission is due.
     fn due_request(&self, from: u16, now: Instant) -> Option<u16> {
         self.interrupts
             .open_requests()

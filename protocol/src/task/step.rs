@@ -13,8 +13,8 @@ use crate::ticks::{Instant, Ticks};
 /// The receiver of the effects of [`CommTask::handle`](crate::CommTask::handle). A driver carries them out after `handle` has
 /// returned.
 pub trait Outbox {
-    /// Whether the outbox wants the packets of a rendezvous. The outbox of a fused step of all members does not, and the task then
-    /// makes none.
+    /// Whether the outbox takes the packets of a rendezvous. If not, the task makes none: in a fused step the members need no
+    /// packets.
     const TRANSMITS: bool = true;
 
     /// Hands a packet of the task to the route layer.

@@ -78,8 +78,8 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         }
     }
 
-    /// Handles a signal, unless it plainly answers the operation in which the running activation waits: for such an answer
-    /// it returns true.
+    /// Handles a signal, unless the signal only answers the operation in which the running activation waits. For such an answer
+    /// this function returns true and does nothing.
     fn is_plain_answer(&mut self, signal: &Signal) -> bool {
         let wait = self.frame().wait;
         match (wait, *signal) {
@@ -258,7 +258,7 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         let handler = self.program.handler(trigger);
         if call == Call::Fenced {
             self.cut_short();
-            // The interrupted activation does not go on, so open atomic sections end here.
+            // An activation that a fence interrupts never goes on, so its open atomic sections end here.
             self.script.atomic = 0;
             if handler.is_none() {
                 return self.fenced();

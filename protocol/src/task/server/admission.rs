@@ -112,7 +112,7 @@ impl Server {
     /// Whether this is the incarnation in which the source was when this task last heard from it.
     #[inline]
     pub(super) fn knows(&self, source: TaskId, incarnation: Incarnation) -> bool {
-        // Many tasks hear of one other task alone.
+        // Fast path: many tasks receive from only one other task.
         if let [only] = &*self.incarnations {
             return only.task == source && only.incarnation == Some(incarnation);
         }
