@@ -9,7 +9,7 @@ struct Counting;
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// How many bytes are allocated at present.
+/// How many bytes are allocated now.
 static LIVE: AtomicI64 = AtomicI64::new(0);
 
 thread_local! {
@@ -74,7 +74,7 @@ unsafe impl GlobalAlloc for Counting {
     }
 }
 
-/// How many bytes the process has allocated at present.
+/// How many allocated bytes the process holds now.
 pub fn live() -> i64 {
     LIVE.load(Ordering::Relaxed)
 }

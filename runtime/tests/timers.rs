@@ -13,9 +13,9 @@ use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
-/// How long the process stands still.
+/// How long the test stops the whole process.
 const STOP: Duration = Duration::from_millis(500);
-/// A TTL that ends while the process stands still.
+/// A TTL that ends while the process is stopped.
 const SHORT: Ticks = Ticks(200_000);
 const COMMANDS: u32 = 1_000;
 const NEWS: u16 = 8;
@@ -131,7 +131,7 @@ fn b(ctx: &mut Context, gate: &Receiver<()>) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// The program of `c`: it makes delays, and the process stands still during one of them. Each delay takes its full
+/// The program of `c`: it makes delays, and the process is stopped during one of them. Each delay takes its full
 /// time: the one that the stop interrupts, and those after it.
 fn c(ctx: &mut Context) -> Result<(), TaskError> {
     const LENGTH: Duration = Duration::from_millis(20);

@@ -29,7 +29,7 @@ pub struct Judge<'a> {
     loaded: &'a Loaded,
     /// For each task, which of its values the checks read.
     asks: Vec<Vec<Ask>>,
-    /// For each task, its present values in the order of `asks`; `None` if a value is not known.
+    /// For each task, its current values in the order of `asks`; `None` if a value is not known.
     stand: Vec<Vec<Option<i64>>>,
     /// For each task, why some of its values are not known; `None` while the task's node reports all of them, and before the
     /// node's first report.
@@ -81,7 +81,7 @@ struct CheckState {
     doubt: Option<Doubt>,
     /// For how long it was unknown whether the check held, by reason.
     doubted: BTreeMap<Doubt, u64>,
-    /// Whether the present break of the check has been reported.
+    /// Whether the current break of the check has been reported.
     is_told: bool,
     /// For `leads`: since when the check waits for its consequence, and when the consequence is late.
     due: Option<(u64, u64)>,

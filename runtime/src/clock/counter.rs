@@ -45,7 +45,7 @@ pub(super) struct Anchor {
     lasts: u64,
 }
 
-/// The earliest and the latest possible value of the present time, in nanoseconds of the kernel's clock.
+/// The earliest and the latest possible value of the current time, in nanoseconds of the kernel's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Between {
     pub earliest: u64,
@@ -125,7 +125,7 @@ impl Counter {
         self.rate.load(Ordering::Relaxed) != 0 && anchor.get().lasts != 0
     }
 
-    /// The bounds of the present time, derived from the calling thread's anchor or from a new one.
+    /// The bounds of the current time, derived from the calling thread's anchor or from a new one.
     #[inline]
     pub fn read(&self, clocks: &impl Clocks, anchor: &Cell<Anchor>) -> Between {
         let (rate, known) = (self.rate.load(Ordering::Relaxed), anchor.get());

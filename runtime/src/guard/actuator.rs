@@ -90,7 +90,7 @@ pub enum Refused {
     Gate(#[from] GateError),
 }
 
-/// The present instant on the clock of deadlines: microseconds of `CLOCK_BOOTTIME`.
+/// The current instant on the clock of deadlines: microseconds of `CLOCK_BOOTTIME`.
 #[must_use]
 pub fn now() -> u64 {
     clock::now()

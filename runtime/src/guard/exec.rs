@@ -30,7 +30,7 @@ pub fn exec(errand: &Errand) -> ExitCode {
     let mut line = UNSTARTED.to_vec();
     line.extend(error.raw_os_error().unwrap_or_default().to_string().bytes());
     line.push(b'\n');
-    // Writing fails only if the guard is gone, and then no process reads this line.
+    // Writing fails only if the guard has ended, and then no process reads this line.
     let _ = io::stdout().write_all(&line);
     ExitCode::from(NOT_FOUND)
 }
@@ -65,7 +65,7 @@ fn be_ordinary(cores: Option<&str>) {
                 set.set(core);
             }
         });
-        // If a core of the launcher's list no longer exists, the process stays on its present cores.
+        // If a core of the launcher's list no longer exists, the process stays on its current cores.
         let _ = sched_setaffinity(None, &set);
     }
     let is_ordinary = matches!(thread_schedule_policy(), Ok(ThreadSchedulePolicy::Normal(_)));

@@ -91,7 +91,7 @@ impl Comm {
         })
     }
 
-    /// The time from the state machine's present to `now`; zero if `now` is not later.
+    /// By how much `now` is later than the state machine's own time; zero if it is not later.
     pub const fn elapsed(&self, now: Micros) -> Ticks {
         Ticks(now.saturating_sub(self.now()))
     }

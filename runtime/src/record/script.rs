@@ -142,7 +142,7 @@ impl Out<'_> {
         }
     }
 
-    /// The record of what the script does with its present input; `None` if there is no input.
+    /// The record of what the script does with its current input; `None` if there is no input.
     fn turn(&mut self) -> Option<&mut Turn> {
         match self.happened.as_mut()?.last_mut()? {
             (_, Happened::Turn(turn)) => Some(turn),

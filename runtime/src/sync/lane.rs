@@ -54,7 +54,8 @@ pub(crate) fn lane<const WORDS: usize>(slots: usize) -> (Fill<WORDS>, Drain<WORD
     used_lane(slots, 0, Sound)
 }
 
-/// A lane through which `at` slots have gone before, with a planted bug if there is one. The counters wrap around.
+/// A lane whose counters begin at `at`, as if so many slots had been used before. `plant` is a planted bug, or none. The
+/// counters wrap around.
 pub(crate) fn used_lane<const WORDS: usize, P>(
     slots: usize,
     at: usize,

@@ -30,7 +30,7 @@ pub(crate) trait Protected {
 
 /// Wakes a task's thread that waits elsewhere than on its word.
 pub(crate) trait ThreadWaker: Send + Sync {
-    /// Ends the thread's present wait; if it is not waiting, its next wait.
+    /// Ends the thread's current wait; if it is not waiting, its next wait.
     fn wake(&self);
 }
 

@@ -103,7 +103,7 @@ impl UdpLink {
         }
     }
 
-    /// The socket that is connected to the address of the neighbour at `position`: the present socket, or a new one.
+    /// The socket that is connected to the address of the neighbour at `position`: the current socket, or a new one.
     /// `None` if the kernel makes none; then the socket of strangers serves the neighbour.
     pub(super) fn connected(&self, position: usize, address: SocketAddr) -> Option<Arc<Inbound>> {
         let mut inbound = lock(&self.peers[position].inbound);

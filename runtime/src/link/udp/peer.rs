@@ -35,7 +35,7 @@ pub(super) struct Peer {
     pub(super) heard: Mutex<Option<Heard>>,
     /// Whether any datagram of the neighbour was accepted since its address was set.
     pub(super) met: AtomicBool,
-    /// Whether the neighbour has said goodbye in its present session.
+    /// Whether the neighbour has said goodbye in its current session.
     pub(super) has_stopped: AtomicBool,
     /// The newest incarnation of the neighbour that was seen in its envelopes, or in packets that other nodes relayed.
     /// [`NOTHING`] before any was seen.
@@ -218,9 +218,9 @@ impl Heard {
 /// A limit on how many greetings and refusals leave for a neighbour.
 #[derive(Default)]
 pub(super) struct Pace {
-    /// When the present span began, and how many greetings left in it.
+    /// When the current span began, and how many greetings left in it.
     greetings: (u64, u32),
-    /// When the present span of answers in handshakes began, and how many answers left in it.
+    /// When the current span of answers in handshakes began, and how many answers left in it.
     answers: (u64, u32),
     /// When the last refusal left.
     refused: Option<u64>,

@@ -149,8 +149,9 @@ impl Asked {
     }
 }
 
-/// A socket bound to `address`, which no other socket may have. `merges` says whether the kernel may merge datagrams. Also
-/// returns the options that the kernel accepted, and a reading of the clocks from before any datagram can have arrived.
+/// Makes a socket and binds it to `address`, which no other socket may have. `merges` says whether the kernel may
+/// merge datagrams. Also returns the options that the kernel accepted, and a reading of the clocks from before any
+/// datagram can have arrived.
 pub(super) fn bind(
     address: SocketAddr,
     queue: usize,
