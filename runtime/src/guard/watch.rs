@@ -26,7 +26,7 @@ const PIECE: usize = 1 << 14;
 
 /// Guards a command until it and everything that it started have ended, and reports how it ended.
 pub fn watch(errand: &Errand) -> ExitCode {
-    // If the launcher is gone, no notice is needed.
+    // If the launcher has ended, no notice is needed.
     let notices = errand.notices.as_ref().and_then(|(path, key)| Some((Notices::open(path).ok()?, key)));
     let outcome = match over_before(errand) {
         Some(outcome) => outcome,

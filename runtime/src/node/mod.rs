@@ -49,7 +49,7 @@ use std::sync::{Arc, OnceLock};
 /// The parts from which a node is made.
 pub(crate) struct Plan {
     pub machine: imrs_protocol::Node,
-    /// The thread that runs the program of each task of the node.
+    /// For each task of the node, which thread runs the task's program.
     pub run_by: Vec<RunBy>,
     pub incarnation: Incarnation,
     pub insecure: bool,
@@ -91,9 +91,9 @@ pub struct Node {
     pub(crate) peers: Box<[Peer]>,
     /// Where the scripts of the node carry out their actions. Set when the runtime starts.
     pub(crate) stage: OnceLock<Stage>,
-    /// Drops that no state machine saw, by position in [`Reason::ALL`].
+    /// How many packets were dropped before a state machine got them, by position in [`Reason::ALL`].
     pub(crate) discards: [AtomicU64; Reason::ALL.len()],
-    /// Drops by links, by position in [`LinkDiscard::NAMES`].
+    /// How many datagrams and packets the link dropped, by position in [`LinkDiscard::NAMES`].
     pub(crate) link_discards: [AtomicU64; LinkDiscard::NAMES.len()],
 }
 

@@ -40,7 +40,7 @@ struct Core<S: Protected> {
 }
 
 impl<S: Protected> Handoff<S> {
-    /// Makes the hand-off. `waker` wakes the task's thread when it does not wait on its word ([`go_away`](Self::go_away)).
+    /// Makes the hand-off. `waker` wakes the task's thread in the link's socket ([`go_away`](Self::go_away)).
     pub fn new(protected: S, waker: Option<Arc<dyn ThreadWaker>>) -> Self {
         Self::planted(protected, waker, Sound)
     }

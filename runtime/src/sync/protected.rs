@@ -28,7 +28,7 @@ pub(crate) trait Protected {
     fn settle(&mut self, rest: Rest, effects: &mut Self::Effects) -> u64;
 }
 
-/// Wakes a task's thread that waits elsewhere than on its word.
+/// Wakes a task's thread that waits in the link's socket, and not on its futex word.
 pub(crate) trait ThreadWaker: Send + Sync {
     /// Ends the thread's current wait; if it is not waiting, its next wait.
     fn wake(&self);

@@ -79,7 +79,7 @@ impl Was {
 pub(super) struct Waiting<P = Sound> {
     word: Line<Word>,
     pub thread_state: ThreadState,
-    /// Wakes the task's thread if it waits elsewhere than on its word.
+    /// Wakes the task's thread if it waits in the link's socket, and not on its futex word.
     waker: Option<Arc<dyn ThreadWaker>>,
     pub plant: P,
 }

@@ -303,7 +303,7 @@ impl UdpLink {
         }
     }
 
-    /// Pauses after a failed wait, because the kernel lacks even the memory for one.
+    /// Pauses after a failed wait, because the kernel lacks even the memory for a wait.
     fn wait_failed(&self) {
         self.statistics.add(UdpCount::ReceiveFailed, 1);
         std::thread::sleep(Duration::from_millis(1));

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 
 /// The two nodes.
 pub const ENDS: [NodeId; 2] = [NODES[0], NODES[1]];
-/// A neighbour of both that never answers. Each of the two waits for a session with it.
+/// A neighbour of both nodes that never answers, so that both wait for a session with it.
 pub const SILENT: NodeId = NODES[2];
 /// How many datagrams of one start of the two nodes the attacker keeps.
 const KEPT: usize = 800;
@@ -84,7 +84,7 @@ impl Scene {
         scene
     }
 
-    /// The first node asks for another session, and never gets the answer.
+    /// Makes the first node ask for another session; the attacker holds back the answer.
     pub fn asks_again(&mut self) {
         let now = self.links[0].micros(Instant::now());
         let hello = lock(&self.links[0].peers[0].channel).as_mut().and_then(|channel| channel.knock(now));
