@@ -196,7 +196,8 @@ pub struct PortDecl {
     pub answer_fragments: u8,
     /// `rate`: the highest rate at which messages are sent.
     pub rate: Option<Rate>,
-    /// The couple, by position, whose lease guards this port: receivers drop messages of an older epoch (D61).
+    /// The position of the couple (primary and standby) whose lease guards this port: receivers drop messages of an older lease
+    /// (D61).
     pub guard: Option<u8>,
 }
 

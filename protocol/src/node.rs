@@ -155,7 +155,7 @@ impl Node {
         self.small_steps(now, input, out);
     }
 
-    /// [`step`](Self::step) without fused steps: the steps that a checker explores one by one.
+    /// Like [`step`](Self::step), but never combines small steps into a fused step, because a checker explores each small step.
     pub fn small_steps(&mut self, now: Instant, input: NodeInput, out: &mut impl NodeOutbox) {
         self.begin(now, input, out);
         while let Some(work) = self.work.pop_front() {

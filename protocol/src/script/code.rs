@@ -223,7 +223,7 @@ fn owners(program: &Program) -> Vec<Option<Option<u8>>> {
 /// which `begins` gets. Returns the first other operation, such as a GET. These operations are not counted, because each wait
 /// begins with a full limit of operations.
 pub fn get_after(program: &Program, mut to: Address, mut begins: impl FnMut(Address)) -> Address {
-    // An acceptance lets no message arrive, so the next statement of a fused program need not ask whether a handler runs first.
+    // No message can have come since the acceptance, so the next statement need not ask whether a handler runs first.
     let is_plain = program.fusing == Fusing::Fused || !program.is_interruptible();
     for _ in 0..MOST_BRANCHES {
         to = match program.code.get(usize::from(to)) {

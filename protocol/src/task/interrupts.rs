@@ -7,7 +7,7 @@
 //! | [`conclude`](Interrupts::conclude) | a wait ended: signal it now, or keep the end until the handlers above have ended |
 //! | [`is_interruptible`](Interrupts::is_interruptible) | whether a handler may begin now |
 //! | [`outranks`](Interrupts::outranks) | whether something of a given rank may interrupt the running activation |
-//! | [`begin`](Interrupts::begin), [`resume`](Interrupts::resume) | a handler interrupts the running activation; the handler ends |
+//! | [`begin`](Interrupts::begin), [`resume`](Interrupts::resume) | a handler interrupts the running activation; a handler ends |
 //! | [`delay`](Interrupts::delay), [`start`](Interrupts::start), [`stop`](Interrupts::stop) | arm or disarm the node's Timer |
 //! | [`time_is_over`](Interrupts::time_is_over) | the node's Timer reports an end |
 //!
@@ -62,7 +62,7 @@ pub(crate) struct Interrupts {
     /// A stack of the interrupted activations, `depth` deep: the task's own thread, then handlers.
     interrupted: Box<[Activation]>,
     depth: u8,
-    /// Whether the handler that began last took a capped message (D76).
+    /// Whether the last handler began for a capped message: one that was rejected as often as possible (D76).
     capped_last: bool,
     /// The number that the next start of a delay or timer gets. The Timer's report carries it, so that a report of an
     /// earlier start is recognised.

@@ -44,7 +44,7 @@ use serde::{Deserialize, Serialize};
 /// How many recent answers a task remembers, because an echo of each of them may still come.
 const ANSWERS: usize = 4;
 
-/// The present role of one task of the couple.
+/// The present role of the task, which is the primary or the standby of a couple.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 enum Post {
     /// The task does not act. It waits for the lease or for the take-over.
@@ -65,7 +65,7 @@ struct Answered {
     until: Instant,
 }
 
-/// The lease state of one task of a couple.
+/// The lease state of one task of a couple: of the primary or of the standby.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Lease {
     /// The position of the couple in the cell.
@@ -108,7 +108,7 @@ const ALONE: u8 = 2;
 const ECHO_BYTES: usize = 4;
 
 impl Lease {
-    /// The task's side of its couple at the start of an incarnation; `None` if the task is in no couple.
+    /// The lease state at the start of an incarnation; `None` if the task is neither a primary nor a standby.
     pub fn new(table: &NodeTable, own: &Own) -> Option<Self> {
         let heartbeats = own.endpoints.iter().rfind(|endpoint| endpoint.role == Role::Heartbeats)?;
         let (couple, decl) = couple_of(table, heartbeats.port, own.task)?;

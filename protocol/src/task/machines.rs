@@ -26,7 +26,7 @@ pub(crate) struct Machines {
     pub server: Server,
     pub interrupts: Interrupts,
     pub meetings: Meetings,
-    /// The task's side of its couple, if there is one (D61).
+    /// The lease state, if the task is the primary or the standby of a couple (D61).
     pub lease: Option<Lease>,
 }
 
@@ -276,7 +276,7 @@ impl Machines {
         }
     }
 
-    /// Handles a statement boundary of the running activation (D15).
+    /// Handles a point between two statements of the running activation, where a handler may begin (D15).
     pub fn boundary(&mut self, step: &mut Step<'_, impl Outbox>) {
         let open = self.interrupts.is_interruptible(true, self.called());
         if !(open && self.offer(step)) {

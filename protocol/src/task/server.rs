@@ -9,7 +9,7 @@
 //! | [`first_offer`](Server::first_offer) | returns the message that may interrupt the running activation first |
 //! | [`reject_the_others`](Server::reject_the_others) | other due messages are rejected: offered again later, one rank higher |
 //! | [`advance`](Server::advance) | drops expired messages and fragments |
-//! | [`reroute`](Server::reroute) | waiting commands expire earlier or later, because a new table changes the route of their replies |
+//! | [`reroute`](Server::reroute) | adapts the deadlines of waiting commands to the routes of another table |
 //!
 //! A packet of a message passes these checks in turn. The packet has no more fragments than the port allows, and time is
 //! left to answer it. No copy of a command to an earlier incarnation of the task can still arrive (D49). The packet is from
@@ -70,7 +70,7 @@ pub(crate) struct Server {
     rejections: u64,
     /// The last known incarnation of each task that may send to this one, ascending by task.
     incarnations: Box<[Known]>,
-    /// The newest epoch of each couple that commands this task (D61).
+    /// The newest lease epoch of each couple (primary and standby) that commands this task (D61).
     guards: Box<[Guard]>,
     /// The message that the task took last (D28).
     taken: (Option<Contents>, Parts),
@@ -327,7 +327,7 @@ impl Server {
         }
     }
 
-    /// Extends the deadlines of waiting messages by the time that passed. This serves the variant in which waiting does not
+    /// Extends the deadlines of waiting messages by the time that passed. This serves the rule variant in which waiting does not
     /// reduce the remaining time.
     pub fn give_back(&mut self, own: &Own, elapsed: Ticks) {
         for inbox in &mut self.inboxes {

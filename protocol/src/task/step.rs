@@ -62,7 +62,7 @@ impl<O: Outbox> Step<'_, O> {
         id
     }
 
-    /// The time that a packet carries: the message's remaining time (§5.1), or, under the variant with absolute times, an
+    /// The time that a packet carries: the message's remaining time (§5.1), or, under the rule variant with absolute times, an
     /// instant on this node's clock.
     pub fn stamp(&self, ttl: Ticks) -> Ticks {
         match self.table.rules().time_stamp {

@@ -160,7 +160,8 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         self.give_up();
         self.script.standing = Standing::Ended(end);
         self.out.ended(end);
-        // The heartbeats of a task of a couple stop when it has ended (D61).
+        // A primary or standby that has ended must answer no heartbeat any more, so that its partner takes over
+        // (D61).
         if self.out.communication().is_some_and(|(machine, _)| machine.epoch().is_some()) {
             self.ask(Request::End);
         }
