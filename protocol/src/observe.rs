@@ -119,7 +119,7 @@ pub enum Event {
     PartnerArrived,
     /// Another member gave up the rendezvous.
     PartnerAborted,
-    /// A CONFIRM was sent.
+    /// The task sent CONFIRM: all members have reached the rendezvous.
     Confirmed,
     /// The task was released because it held all arrivals.
     ReleasedComplete,

@@ -158,7 +158,7 @@ fn what_can_arrive_no_more_is_dropped_and_its_task_knows_that_it_never_left() {
     let mut rig = Rig::new(8);
     rig.offer(status(1, 10));
     rig.offer(command(2, 10));
-    // The link has a bound of four ticks.
+    // The link delay is up to four ticks, so a packet with less time left is dropped.
     assert_eq!(rig.advance(5), Out::default());
     let out = rig.advance(1);
     assert_eq!(out.drops, [(Reason::ExpiredInTransit, 2), (Reason::ExpiredInTransit, 1)]);

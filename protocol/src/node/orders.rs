@@ -19,7 +19,7 @@ use alloc::collections::VecDeque;
 enum Kind {
     /// Time has passed that the task has not handled.
     Time,
-    /// A time-out of the Timer.
+    /// The node's Timer, which reports that a delay or timer has ended.
     Timer,
     /// Another task, or the node.
     Others,

@@ -38,7 +38,7 @@ use core::fmt;
 use interpreter::Interpreter;
 use serde::{Deserialize, Serialize};
 
-/// How many operands a script may hold at once: those of the longest message, and an expression.
+/// How many operands a script may hold at once: the fields of the longest message, and one expression.
 pub const MAX_OPERANDS: usize = MAX_MESSAGE + CHECK_DEPTH;
 /// How many operations a script may run from one input to the next operation that waits.
 pub const STEP_LIMIT: u32 = 4096;
@@ -174,7 +174,7 @@ enum Wait {
     Kept(Acted),
     /// The driver's choice among this many alternatives.
     Choice(u16),
-    /// The answer to a Done made just before the call of this handler arrived. Then the handler begins with this message.
+    /// The answer to a [`Request::Done`] made just before this handler was called. The handler then begins, with this message.
     Entering(Option<Inbound>),
     /// The answer to [`Request::Abandon`].
     Abandon(Anew),

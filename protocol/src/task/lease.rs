@@ -180,7 +180,7 @@ impl Lease {
         &self.said
     }
 
-    /// Whether a fence or a take-over is pending that the task has not been signalled yet.
+    /// Whether the task has yet to be signalled that it lost its lease (a fence), or that it takes over.
     pub const fn called(&self) -> bool {
         self.call.is_some()
     }

@@ -41,7 +41,7 @@ impl Machines {
         }
     }
 
-    /// Whether the lease has a pending call for the task: a fence or a take-over.
+    /// Whether the task has yet to hear that it lost its lease (a fence), or that it takes over.
     fn called(&self) -> bool {
         self.lease.as_ref().is_some_and(Lease::called)
     }

@@ -10,7 +10,7 @@ use crate::task::step::{Outbox, Step};
 use crate::task::wait::Ended;
 use crate::ticks::{Instant, Ticks};
 
-/// A task's arrival at the waitfor, as the other members hear of it.
+/// A task's arrival at the rendezvous, as the other members hear of it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Arrival {
     /// The arriving task, and its position among the members.
@@ -32,8 +32,8 @@ impl Arrival {
 }
 
 impl Rendezvous {
-    /// What the other members hear when this task, which does not wait anywhere, reaches the waitfor. `None` if the arrival
-    /// requires small steps.
+    /// The arrival of which the other members hear when this task, which waits for nothing, reaches the rendezvous.
+    /// `None` if the arrival requires small steps.
     pub fn may_reach(
         &self,
         own: &Own,
