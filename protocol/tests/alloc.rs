@@ -148,7 +148,7 @@ fn exercise(pair: &mut Pair, contents: Contents) {
     pair.ask(HOIST, Request::Reply { to: message.from, contents });
     pair.told(|s| matches!(s, Signal::Outcome(Outcome::Reply(_))));
     interrupt(pair, contents);
-    // Status messages until the buffer evicts some of them, then the expiry of the others.
+    // Status messages are sent until the buffer evicts some of them. Then the others expire.
     for _ in 0..4 {
         pair.ask(ARM, status);
     }

@@ -214,7 +214,7 @@ impl Run {
         self.both(at.index(), NodeInput::Request(task, request), counts);
     }
 
-    /// Compares a REPLY and a GET as one fused step with their small steps, and goes on after both.
+    /// Compares a REPLY and a GET as one fused step with their small steps. The run continues after both.
     fn ask_both(&mut self, task: TaskId, requests: [Request; 2], counts: &mut Counts) {
         let at = self.table.location(task).expect("located").index();
         self.nodes[at].step(self.now, NodeInput::Time, &mut Did::default());
