@@ -1,4 +1,4 @@
-//! Reads the file with the token with which a monitor proves to nodes that it may look.
+//! Reads the token file. With the token a monitor proves to nodes that it may observe them.
 
 use crate::failure::Failure;
 use imrs_wire::files;

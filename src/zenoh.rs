@@ -1,8 +1,9 @@
 //! `imrs zenoh`: carries the datagrams of one node over zenoh (D211).
 //!
-//! The gateway stands at the addresses of the node's neighbours, on this machine's loopback. It puts each datagram of
-//! the node on the key of its pair of nodes, unchanged, and hands each datagram of a neighbour to the node. It has no
-//! keys and keeps no datagram: whatever zenoh and its routers do, the envelope's own clocks and tags judge it.
+//! The gateway binds the addresses of the node's neighbours on this machine's loopback. It publishes each datagram of
+//! the node unchanged, under a zenoh key for the two nodes, and passes each datagram of a neighbour to the node. The
+//! gateway has no encryption keys and stores no datagram. Zenoh may drop, delay or repeat datagrams, because the
+//! receiving node checks their clocks and tags itself.
 
 use crate::args::ZenohArgs;
 use crate::exit::Exit;
@@ -27,27 +28,28 @@ use zenoh::qos::{CongestionControl, Priority, Reliability};
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::{Config, Session, Wait};
 
-/// More than any datagram of a node has.
+/// The size of the receive buffer, in bytes: no datagram of a node is so long.
 const ROOM: usize = 2_048;
 
-/// What the gateway tells its user.
+/// What the gateway's threads report to the thread that prints.
 enum Event {
-    /// A neighbour's gateway is there, or is gone. This is a hint: the nodes alone decide whether they hear each other.
+    /// A neighbour's gateway has appeared, or has gone. This is only a hint: the nodes find out themselves whether
+    /// they can communicate.
     Neighbour(String, bool),
-    /// A signal asks for the end.
+    /// A signal asks the gateway to end.
     End,
 }
 
 /// How many datagrams the gateway has handled.
 #[derive(Default)]
 struct Counts {
-    /// Datagrams of the node that zenoh took. It may still drop them.
+    /// Datagrams of the node that were passed to zenoh, which may still drop them.
     out: AtomicU64,
-    /// Datagrams of neighbours that the node's socket took.
+    /// Datagrams of neighbours that were passed to the node's socket.
     into: AtomicU64,
-    /// Datagrams of the node without keys, which were not carried.
+    /// Datagrams of the node that were not carried because they are not encrypted.
     refused: AtomicU64,
-    /// Datagrams that zenoh or the node's socket did not take.
+    /// Datagrams that zenoh or the node's socket refused.
     failed: AtomicU64,
 }
 
@@ -108,7 +110,7 @@ fn usage(what: impl Display, why: impl Display) -> Failure {
     Failure::Usage(format!("{what}: {why}"))
 }
 
-/// For each neighbour of the node, a socket at the neighbour's address that exchanges datagrams with the node alone.
+/// For each neighbour of the node, a socket at the neighbour's address. It exchanges datagrams with the node only.
 fn sockets(loaded: &Loaded, node: NodeId) -> Result<Vec<(String, UdpSocket)>, Failure> {
     let own = place::address(loaded, node).map_err(LaunchError::from)?;
     let neighbours = place::neighbours(loaded, node).map_err(LaunchError::from)?;
@@ -132,7 +134,7 @@ fn sockets(loaded: &Loaded, node: NodeId) -> Result<Vec<(String, UdpSocket)>, Fa
     neighbours.into_iter().map(bound).collect()
 }
 
-/// Carries the datagrams between the node and one neighbour, on a key for each direction.
+/// Carries the datagrams between the node and one neighbour, with one zenoh key for each direction.
 fn carry(
     session: &Session,
     [out, into]: [String; 2],
@@ -142,7 +144,8 @@ fn carry(
 ) -> zenoh::Result<()> {
     let publisher = session
         .declare_publisher(out)
-        // A message expires while its datagram waits. So zenoh drops datagrams that it cannot send at once, and batches none.
+        // A message's time to live runs on while its datagram waits. So zenoh drops datagrams that it cannot send at
+        // once, and batches none.
         .congestion_control(CongestionControl::Drop)
         .reliability(Reliability::BestEffort)
         .priority(Priority::RealTime)
@@ -161,12 +164,12 @@ fn carry(
     Ok(())
 }
 
-/// Puts each datagram of the node.
+/// Publishes each datagram that the node sends.
 fn put_all(publisher: &Publisher<'_>, socket: &UdpSocket, insecure: bool, counts: &Counts) {
     static TOLD: AtomicBool = AtomicBool::new(false);
     let mut room = [0; ROOM];
     loop {
-        // An error says that the node is not there, or an interruption.
+        // The node is not running, or a signal interrupted the call.
         let Ok(length) = socket.recv(&mut room) else { continue };
         let datagram = &room[..length];
         let count = if !insecure && keyed::read(datagram).is_err() {
@@ -185,7 +188,7 @@ fn put_all(publisher: &Publisher<'_>, socket: &UdpSocket, insecure: bool, counts
     }
 }
 
-/// Reports when a neighbour's gateway comes and goes.
+/// Reports when a neighbour's gateway appears or goes.
 fn watch(session: &Session, token: String, name: String, tell: Sender<Event>) -> zenoh::Result<()> {
     let changed = move |sample: Sample| {
         // If the receiver is gone, this process ends.

@@ -105,8 +105,9 @@ pub fn parse(text: &str, loaded: &Loaded, node: NodeId) -> Result<NodeKeys, Stri
     })
 }
 
-/// From now on no core file or core handler gets the memory of this process, and no process of the same user may read
-/// it or attach to it (`prctl(2)`, PR_SET_DUMPABLE). This does not apply to a command that this process starts.
+/// From now on the memory of this process goes into no core file and to no core handler. No process of the same user
+/// may read it or attach to this process (`prctl(2)`, PR_SET_DUMPABLE). A command that this process starts is not
+/// protected.
 fn make_memory_private() -> Result<(), String> {
     set_dumpable_behavior(DumpableBehavior::NotDumpable)
         .map_err(|error| format!("core files cannot be switched off: {error}"))

@@ -1,4 +1,5 @@
-//! Fuzzes the nodes of a small cell: any operations. A fused step must do what the small steps do that it stands for.
+//! Fuzzes the nodes of a small cell with any operations. A fused step must do the same as the small steps that it
+//! replaces.
 #![no_main]
 
 #[allow(dead_code, reason = "a fuzz target uses a part of it")]

@@ -1,5 +1,5 @@
-//! Fuzzes a communication task: any operations on any small cell. The task must accept every input in every state, and
-//! its state must always fulfil its laws.
+//! Fuzzes a communication task with any operations on any small cell. The task must accept every input in every state,
+//! and its invariants must hold after every input.
 #![no_main]
 
 #[allow(dead_code, reason = "a fuzz target uses a part of it")]

@@ -81,7 +81,7 @@ pub struct LinkDecl {
     pub b: Name,
     /// The longest delay of a packet that is not lost (D20).
     pub delay: Duration,
-    /// How many packets the link carries in a time.
+    /// How many packets the link carries at most in each period.
     pub capacity: Option<Rate>,
     /// The link's span.
     pub span: Span,
@@ -350,7 +350,7 @@ pub enum StatementKind {
         arguments: Vec<Expr>,
         /// The task whose message the reply answers.
         asker: Option<Name>,
-        /// The number of the message of the other task.
+        /// The number of the message that another task received.
         ticket: Option<Expr>,
     },
     /// `waitfor p(args)`

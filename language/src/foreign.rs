@@ -59,7 +59,8 @@ pub(crate) fn in_task(word: &str) -> &'static str {
     )
 }
 
-/// What to write in place of a declaration of another language, or of a statement that a program may have outside.
+/// What to write in place of a word of another language where a declaration belongs. The word may stand for a
+/// statement.
 fn declared(word: &str) -> Option<&'static str> {
     find(DECLARATIONS, word).or_else(|| find(STATEMENTS, word))
 }

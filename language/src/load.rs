@@ -1,7 +1,7 @@
 //! The traffic that a cell puts on its links, estimated from its text (§5.2.3).
 //!
-//! A declared `rate` says how often a task sends at most. Without one, the `time_out` is the only hint that a cell gives: an
-//! answer or a message that no task needs after this time is hardly asked for more often. So an estimate by time_outs is no bound.
+//! A declared `rate` says how often a task sends at most. Without a rate, the estimate assumes one message in each
+//! `time_out`: tasks hardly ask more often than that. So such an estimate is no bound.
 
 use crate::checks::starters;
 use crate::hir::{CoupleKind, Duration, Field, Hir, Port, StatementKind};
@@ -10,41 +10,42 @@ use imrs_protocol::{CONTENTS_BYTES, Class, NodeId, PortId, TaskId, Usage};
 
 /// The bytes of a packet on the wire, alone in its datagram: 32 bytes, its envelope, IP and UDP, Ethernet and the gap.
 pub const WIRE_BYTES: f64 = 138.0;
-/// What a link carries that declares no capacity: 100 Mbit/s.
+/// The capacity of a link that declares none, in packets per second: 100 Mbit/s.
 const USUAL: f64 = 100e6 / (WIRE_BYTES * 8.0);
-/// A task is advised to move if all links together then carry less by at least this share.
+/// A move of a task is advised only if it lowers the traffic on all links together by more than this share.
 const WORTH: f64 = 0.1;
 
-/// The packets a second on a link, in both directions together.
+/// The packets per second on a link, in both directions together.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LinkLoad {
-    /// At most so many by declared rates.
+    /// The most packets per second that the declared rates allow.
     pub declared: f64,
-    /// So many more, estimated from the time_outs of ports without a rate.
+    /// The estimated packets per second of ports without a rate, from their time_outs.
     pub estimated: f64,
-    /// So many the link carries.
+    /// The packets per second that the link can carry.
     pub capacity: f64,
 }
 
-/// A task that would cause less traffic on another node. Tasks with actions are left out, because their robot is where it is.
+/// A task that would cause less traffic on another node. A task with actions cannot move away from its robot, so it is
+/// left out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Move {
     /// The task.
     pub task: TaskId,
-    /// The node on which it would cause the least traffic.
+    /// The node on which the task would cause the least traffic.
     pub to: NodeId,
-    /// So many packets a second fewer are on all links together.
+    /// How many packets per second the move saves, over all links together.
     pub saves: f64,
 }
 
 impl LinkLoad {
-    /// All packets a second.
+    /// The declared and the estimated packets per second together.
     #[must_use]
     pub fn total(&self) -> f64 {
         self.declared + self.estimated
     }
 
-    /// Whether the link gets more than it carries.
+    /// Whether the link gets more packets than it can carry.
     #[must_use]
     pub fn is_congested(&self) -> bool {
         self.total() > self.capacity
@@ -95,7 +96,7 @@ fn flows(hir: &Hir) -> Vec<Flow> {
     flows
 }
 
-/// How often a task uses a port in a second, and whether the cell says so.
+/// How often a task uses a port per second, and whether the cell declares that rate.
 fn rate(hir: &Hir, id: PortId, port: &Port, from: TaskId) -> Option<(f64, bool)> {
     let heartbeats = hir.couples.iter().find_map(|couple| match couple.kind {
         CoupleKind::Work { via, every, .. } if via == id => Some(every),
@@ -115,15 +116,15 @@ fn packets(port: &Port) -> f64 {
         bytes.div_ceil(CONTENTS_BYTES).max(1) as f64
     };
     match port.usage {
-        // An announcement and a confirmation.
+        // Each member sends an ARRIVE and a CONFIRM.
         Usage::Waitfor => 2.0,
         _ if port.class == Class::Command => of(&port.message) + of(&port.answer),
         _ => of(&port.message),
     }
 }
 
-/// The tasks that would cause less traffic on another node, the one that saves most first. Each task without actions is tried on the
-/// nodes of the tasks with which it exchanges messages.
+/// The tasks that would cause less traffic on another node, by descending savings. Each task without actions is tried
+/// on the nodes of the tasks with which it exchanges messages.
 #[must_use]
 pub fn moves(hir: &Hir) -> Vec<Move> {
     let flows = flows(hir);

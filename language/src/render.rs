@@ -18,8 +18,8 @@ pub enum Style {
 /// Lines with more bytes than this are not shown.
 const LONGEST_LINE: usize = 2000;
 
-/// The diagnostics as text, with the lines of the file at which they point. `file` is the name shown for the file. If the
-/// file is no text, `source` is `None`, and no lines are shown.
+/// The diagnostics as text, with the lines of the file at which they point. `file` is the name shown for the file. If
+/// the file is not text, `source` is `None`, and no lines are shown.
 #[must_use]
 pub fn text(diagnostics: &[Diagnostic], file: &str, source: Option<&Source>, style: Style) -> String {
     let renderer = match style {

@@ -73,8 +73,8 @@ pub(crate) fn any(task: &Task, mut is: impl FnMut(&Statement) -> bool) -> bool {
     has
 }
 
-/// Calls `see` with each statement that stands under no condition, so that the statement runs whenever the thread gets
-/// there. The body of a loop is visited once.
+/// Calls `see` with each statement that stands under no condition, so that it runs whenever the thread reaches it. The
+/// body of a loop is visited once.
 pub(crate) fn certain<'h>(statements: &'h [Statement], see: &mut dyn FnMut(&'h Statement)) {
     for statement in statements {
         see(statement);

@@ -77,7 +77,7 @@ impl Children {
         Ok(children)
     }
 
-    /// Starts a killed node again, with this setup.
+    /// Restarts a killed node with this setup.
     ///
     /// # Errors
     /// An error if a process or a thread cannot be started.

@@ -1,4 +1,4 @@
-//! What the launcher needs from the program of which it is a part.
+//! The functions that the launcher needs from the program of which it is a part.
 
 use crate::node::error::NodeError;
 use std::fmt::Display;

@@ -64,7 +64,7 @@ pub struct Launcher<'a> {
     started: Instant,
     /// When each running node last sent a message.
     heard: BTreeMap<NodeId, Instant>,
-    /// Whether the launcher has already put into the event log that only tasks are left that serve for ever.
+    /// Whether the event log already has the fact that only tasks that serve for ever still run.
     idle_told: bool,
     interrupts: Interrupts,
     /// The earlier limit for the nodes to become ready, which the first Ctrl-C sets.

@@ -15,8 +15,8 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use zeroize::Zeroizing;
 
-/// Room for most setups. A buffer that grows leaves a copy of the keys behind in memory. Other lines get a small
-/// buffer, because erasing this many bytes would take longer than writing such a line.
+/// Room for most setups. If a buffer grows, a copy of the keys stays behind in memory. Other lines get a small
+/// buffer, because erasing a large one would take longer than writing such a line.
 const SETUP_BYTES: usize = 1 << 15;
 
 /// The first line to a node: its identity and how it runs.
@@ -30,7 +30,7 @@ pub struct Setup {
     pub incarnation: u8,
     /// Whether an earlier incarnation may have taken requests (D49).
     pub restarted: bool,
-    /// Whether the node counts its incarnations itself, because it is the only one that this launcher runs.
+    /// Whether the node counts its incarnations itself, because it is the only node that this launcher runs.
     pub counts: bool,
     /// The address of the node's socket; `None` means any free port of the loopback.
     pub bind: Option<SocketAddr>,
@@ -90,7 +90,7 @@ pub enum Word {
         /// The TCP address at which the node serves monitors.
         observe: Option<SocketAddr>,
     },
-    /// The node was restarted, and the scripts of these tasks are held back, each for this many microseconds.
+    /// The node was restarted, and the scripts of these tasks do not begin yet: each waits for this many microseconds.
     HeldBack(Vec<(TaskId, u64)>),
     /// The node's tasks run.
     Started,
@@ -134,7 +134,7 @@ pub enum EndSort {
     Failed,
 }
 
-/// An event of one task at a waitfor.
+/// An event of one task at a waitfor (a rendezvous of tasks).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Event {
     /// The instant of the event, in microseconds of the boot-time clock that all processes of one machine share.
@@ -149,7 +149,7 @@ pub struct Event {
     pub what: What,
 }
 
-/// What happened at a waitfor.
+/// What happened to a task at a waitfor (a rendezvous of tasks).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum What {

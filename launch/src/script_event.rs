@@ -20,11 +20,11 @@ pub struct Did {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ScriptEvent {
-    /// The task arrived at a waitfor.
+    /// The task arrived at a waitfor (a rendezvous).
     Waits(PortId),
-    /// A waitfor released the task, because all members had arrived.
+    /// A waitfor (a rendezvous) released the task, because all members had arrived.
     Met(PortId),
-    /// The task gave up at a waitfor, because its time_out ended.
+    /// The task gave up at a waitfor (a rendezvous), because its time_out ended.
     GaveUp {
         /// The port of the waitfor.
         port: PortId,

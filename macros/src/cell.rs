@@ -150,7 +150,7 @@ fn types(hir: &Hir) -> TokenStream {
     }
 }
 
-/// The record with these fields: the declared one, or another with the same fields.
+/// The record for these fields: the declared record if its types fit, or any record with the same names and types.
 fn record_of<'a>(
     hir: &'a Hir,
     fields: &[Field],

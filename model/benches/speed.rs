@@ -1,8 +1,8 @@
 //! Measures the checker's speed and size, in interleaved rounds, as medians and ratios. Run it with `cargo bench -p
 //! imrs-model`.
 //!
-//! Every pair of figures that is compared is taken in turns within one round, so that a slow moment of the computer affects
-//! both.
+//! Figures that are compared are measured in turns within one round, so that a slow moment of the computer affects all
+//! of them.
 
 #[path = "../tests/support/mod.rs"]
 #[allow(dead_code, reason = "the benchmark uses a part of what the tests share")]

@@ -1,11 +1,12 @@
-//! Checks the quick claims, or only those with a given name, until one does not come out as expected, and prints the name
-//! of that claim. For runs that try many versions of the protocol.
+//! Checks the quick claims, or only those with a given name, until one has another verdict than expected, and prints
+//! the name of that claim. For runs that try many versions of the protocol.
 //!
-//! `quick [CLAIM]`: the exit code is 0 if all claims came out as expected, 1 if one did not, 2 if no claim has this name.
+//! `quick [CLAIM]`: the exit code is 0 if all claims have the expected verdict, 1 if one has not, 2 if no claim has
+//! this name.
 
 use imrs_model::{Options, Progress, Verdict, claim_names, verify};
 
-/// Ends the process at the first claim that does not come out as expected, because further claims do not matter.
+/// Ends the process at the first claim with an unexpected verdict, because further claims do not matter.
 struct UntilTheFirst;
 
 impl Progress for UntilTheFirst {

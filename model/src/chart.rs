@@ -31,7 +31,7 @@ pub enum Note {
     Event {
         /// Ticks since the start of the path.
         tick: u32,
-        /// The number of the lane in which the event stands.
+        /// The number of the lane in which the event is drawn.
         lane: usize,
         /// What happens in the lane, in words.
         text: String,

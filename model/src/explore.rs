@@ -52,8 +52,8 @@ pub struct Exploration<A = Action> {
     pub seconds: f64,
 }
 
-/// A state space to explore, with working memory into which packed states are loaded. Every call begins with the state that
-/// it is given.
+/// A state space to explore, with working memory. `actions` and `step` first load the packed state that they are given
+/// into this memory.
 pub(crate) trait Ground: Send {
     /// The type of a transition.
     type Action: Copy + Debug + PartialEq + Send + Sync + 'static;
@@ -82,7 +82,7 @@ pub(crate) struct Grounded<G> {
     progress: Option<Hear>,
 }
 
-/// How many states are expanded between two looks at the memory, and between two reports of progress.
+/// How many states are expanded between two measurements of the memory, and between two reports of progress.
 const LOOK: u64 = 8192;
 
 impl<G: Ground> Grounded<G> {

@@ -10,25 +10,25 @@ static COMPARED: [AtomicU64; 8] = [const { AtomicU64::new(0) }; 8];
 pub struct Compared {
     /// The number of messages to a task of the same node.
     pub messages: u64,
-    /// The number of answers to such messages.
+    /// The number of answers to messages of a task of the same node.
     pub answers: u64,
     /// The number of arrivals at a `waitfor` whose members are all on one node.
     pub arrivals: u64,
-    /// The number of these arrivals that were the last member's, so that all members were released.
+    /// The number of arrivals of the last member, by which all members of a `waitfor` on one node were released.
     pub meetings: u64,
-    /// GETs of a task that no handler could interrupt.
+    /// The number of GETs of a task that no handler could interrupt.
     pub gets: u64,
-    /// Answers, each with the GET that the task makes next.
+    /// The number of answers that were compared together with the GET that the task makes next.
     pub pairs: u64,
-    /// The number of these messages that were queries.
+    /// The number of messages to a task of the same node that were queries.
     pub queries: u64,
-    /// The number of these answers that were responses to queries.
+    /// The number of answers to a task of the same node that were responses to queries.
     pub responses: u64,
 }
 
 impl Compared {
-    /// The kind of fused step that was compared least often, in the plural, and how often. Queries and responses are not
-    /// told apart from other messages and answers: no claim has a query within a node, but random cells do.
+    /// The kind of fused step that was compared least often, in the plural, and how often. Queries count as messages,
+    /// and responses as answers, because no claim has a query within a node.
     #[must_use]
     pub fn rarest(&self) -> (&'static str, u64) {
         let Self { messages, answers, arrivals, meetings, gets, pairs, .. } = *self;

@@ -111,8 +111,8 @@ impl Codec {
         let base = frame.rounds.get(packet.port.index()).copied().unwrap_or_default();
         let relative =
             |round: Round| u8::try_from(round.steps_from(base)).ok().filter(|&r| r < 15).ok_or(Overflow);
-        // The value 15 means that the packet names no other round: a sender that was never released names the packet's own
-        // round.
+        // The low half of the byte is the round of which the sender was released last. It is 15 if the packet names its
+        // own round there, as a sender does that was never released.
         let hint = if meeting.released == meeting.round { 15 } else { relative(meeting.released)? };
         out.push((relative(meeting.round)? << 4) | hint)?;
         match packet.kind {

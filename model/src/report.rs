@@ -39,7 +39,8 @@ pub struct Bounds {
 /// Numbers that a search found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Found {
-    /// The fewest lost packets that strand a member, if every packet is sent once.
+    /// The fewest lost packets that strand a member (leave it waiting after all have arrived), if every packet is sent
+    /// once.
     pub least_losses_to_strand: Option<u32>,
     /// The fewest lost packets that let a member give up although all have arrived, with retransmission.
     pub least_losses_with_resending: Option<u32>,
@@ -47,9 +48,9 @@ pub struct Found {
     pub least_safe_margin: Option<u64>,
     /// The margin that the compiler uses for the same bounds (D56).
     pub closed_form_margin: Option<u64>,
-    /// The value of a bound by its closed form, in ticks.
+    /// The TTL that the closed form gives (D59), in ticks.
     pub bound_ticks: Option<u64>,
-    /// The least bound that the search found to be enough, in ticks.
+    /// The least TTL that the search found to be enough, in ticks.
     pub least_bound_ticks: Option<u64>,
     /// The least number of attempts within which the members meet.
     pub attempts: Option<u32>,

@@ -76,7 +76,7 @@ pub(crate) struct World {
     /// The packed nodes. A node that [`World::load`] did not unpack exists only in this form.
     blocks: Vec<Vec<u8>>,
     loaded: Vec<bool>,
-    /// For each node, whether its turn is still open (see the module `turns`).
+    /// For each node, whether its turn is still open: it may step in this tick (see the module `turns`).
     open: Vec<bool>,
     /// The order in which the nodes take turns.
     order: Vec<usize>,

@@ -327,7 +327,7 @@ fn a_query_may_not_last_longer_than_its_answer_takes() {
     );
 }
 
-/// The values that members bring to a meeting are there when others read them, even after a handler during the wait.
+/// Other members read the values that a member brings to a meeting, even if a handler ran while they waited.
 #[test]
 fn what_members_bring_to_a_meeting_is_what_the_others_read() {
     let meet = MEET.replace("meet()", "meet(h: int8)");

@@ -12,8 +12,8 @@ fn explored(plan: &Arc<CellScenario>) -> Exploration<Move> {
     explore_cell_state(plan, Limits { states: 200_000, memory: 1 << 30 })
 }
 
-/// A cell in which `a` enters the shared place after each meeting (only after a release, if `honest`). `b` comes to
-/// `meetings` meetings.
+/// A cell in which `a` enters the shared place after each meeting (only after a release, if `honest`). `b` takes part
+/// in the first `meetings` meetings.
 fn entering(meetings: u8, honest: bool) -> Arc<CellScenario> {
     let mut cell = Cell::new("entering", Ticks(1));
     let nodes = ["left", "right"].map(|name| cell.node(name));
@@ -84,7 +84,7 @@ fn asking(
     let tasks = vec![scripted(first), scripted(second)];
     let mut plan = CellScenario::new(Arc::new(CellTable::new(cell).expect("a sound declaration")), tasks);
     plan.faults.loss = loss;
-    // The check is: never `done` and not (predicate = `holds`).
+    // The check: whenever `done` is true, the predicate has the value `holds`.
     let is = Term::Is(predicate(a, port));
     let mut check = vec![Term::Of { task: a, variable: 0 }, is];
     check.extend(holds.then_some(Term::Not));

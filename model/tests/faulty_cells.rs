@@ -135,8 +135,8 @@ fn cell(text: &str) -> Text {
     cell
 }
 
-/// How many states a second search of the same cell may keep. Every finding comes within this number. The largest cell has
-/// four times as many states; `IMRS_AGAIN=250000` is enough for it.
+/// How many states a second search of the same cell may keep. Every finding is made within this number of states. The
+/// largest cell has four times as many states; `IMRS_AGAIN=250000` is enough for it.
 fn states_again() -> u64 {
     std::env::var("IMRS_AGAIN").map_or(60_000, |states| states.parse().expect("a number of states"))
 }

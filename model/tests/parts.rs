@@ -55,8 +55,8 @@ fn cell(text: &str, times: Times) -> Text {
 
 type Key = (Kind, Phase, Vec<TaskId>, Option<u16>, Option<usize>, Option<usize>);
 
-/// The findings, each as a text by which it can be compared. Starvation counts as a time_out, because it is judged on one
-/// path only.
+/// The findings, each as a text by which it can be compared. Starvation counts as a time_out, because the search
+/// examines only one path to decide between the two.
 fn keys(verdicts: &Verdicts) -> BTreeSet<String> {
     let key = |finding: &Finding| -> Key {
         let kind = if finding.kind == Kind::Starves { Kind::TimeOut } else { finding.kind };
@@ -284,7 +284,8 @@ fn judged(verdicts: &Verdicts, phase: Phase) -> BTreeSet<String> {
 ///
 /// In the search of the whole cell, a finding that ends paths in one part hides later findings of the other part. If no
 /// path of a phase is ended in this way (pruned), the searches of the parts show the same in that phase. If the phase
-/// without faults is pruned, the whole may show with a fault what the parts show without one.
+/// without faults is pruned, the search of the whole cell may need a fault for a finding that the searches of the parts
+/// show without one.
 fn difference(apart: &Verdicts, whole: &Verdicts) -> Option<String> {
     let hides = |phase: Phase| whole.phases.iter().any(|one| one.phase == phase && one.pruned);
     let hidden = [Phase::FaultFree, Phase::Faults].map(hides);
@@ -341,8 +342,8 @@ fn random_cells_beside_each_other() {
         let Some([text, joined]) = pair(seed) else { continue };
         let Some([apart, whole]) = searched(&text, &joined) else { continue };
         let pruned = whole.phases.iter().any(|phase| phase.pruned);
-        // If the whole can be searched, so can its parts, because the parts together have no more states. But if the whole
-        // is pruned, a part may be too large.
+        // If the whole cell can be searched, so can its parts, because the parts together have no more states. But if
+        // the search of the whole cell is pruned, a part may be too large.
         assert!(apart.is_complete() || pruned, "PAIR_SEED={seed}:\n{text}");
         if !apart.is_complete() {
             continue;

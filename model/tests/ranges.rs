@@ -1,4 +1,4 @@
-//! Tests the times with which a finding states that it happens.
+//! Tests the ranges of a finding: for which times of its actions and packets the finding occurs.
 
 use crate::cells::{Text, is_alike, within};
 use crate::faulty_cells::faulty_in;
@@ -8,7 +8,8 @@ use std::sync::Arc;
 
 const POLLED: &str = include_str!("../../examples/faulty/robots_poll_for_each_others_zone.cell");
 
-/// The times with which cells are searched: of `Auto`, small cells are searched at every tick, and then at the ends for other stories.
+/// The times with which cells are searched. `Auto` searches small cells at every tick, and cells with findings also at
+/// the ends of times.
 const TIMES: [Times; 2] = [Times::Zones, Times::Auto];
 
 fn checked(text: &str, times: Times) -> (Text, Verdicts) {
@@ -18,7 +19,7 @@ fn checked(text: &str, times: Times) -> (Text, Verdicts) {
     (cell, verdicts)
 }
 
-/// The text with a fixed time of an action, in place of its interval.
+/// The cell's text, in which an action takes a fixed time in place of its interval.
 fn fixed(text: &str, action: &str, ticks: u64) -> String {
     let begin = format!("run {action} takes ");
     let (before, after) = text.split_once(&begin).expect("the action");
@@ -37,8 +38,9 @@ fn told(verdicts: &Verdicts) -> impl Iterator<Item = &Finding> {
     verdicts.findings.iter().chain(&verdicts.warnings)
 }
 
-/// If a finding has one uncertain time, that of an action: compares its range with searches in which the action takes one fixed time, at
-/// each time of the range and a tick beyond either end. Returns whether the range is narrowed; `None` if there is no such range.
+/// If only one action of a finding has an uncertain time: compares its range with searches in which the action takes a
+/// fixed time. These are the times of the range, and one tick beyond either end. Returns whether the range is narrower
+/// than the declared one; `None` if the finding has no such range.
 fn compare_with_fixed_times(name: &str, text: &str, finding: &Finding) -> Option<bool> {
     let [range] = &finding.ranges[..] else { return None };
     let Timed::Action { name: action, .. } = &range.timed else { return None };
@@ -76,8 +78,8 @@ fn a_finding_with_one_uncertain_action_happens_at_exactly_the_times_that_it_stat
 
 #[test]
 fn a_standstill_happens_at_exactly_the_times_that_it_states() {
-    // Only one of the two actions before the standstill takes an uncertain time. Each task goes round once: in a second round, the robots
-    // could meet at other times.
+    // Only one of the two actions before the standstill takes an uncertain time. Each task runs its loop once: in a
+    // second iteration, the robots could meet at other times.
     let once = POLLED.replace("  loop\n", "  while round < 1 do\n    round := round + 1;\n");
     let once = once.replace("  var zone: int8;\n", "  var zone: int8;\n  var round: int8;\n");
     let text = once.replacen("run come takes 0..40 msec", "run come takes 10..60 msec", 1);

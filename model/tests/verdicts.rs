@@ -11,7 +11,7 @@ fn kinds(text: &str) -> Vec<Kind> {
     all(&Text::new(text)).into_iter().map(|(kind, _)| kind).collect()
 }
 
-/// Nodes are not ordered within a tick: one node's value before the tick and another's after it may hold at once.
+/// Nodes are not ordered within a tick: a check may see one node's value before the tick and another node's after it.
 #[test]
 fn a_check_that_reads_two_nodes_holds_in_either_order_of_a_tick() {
     let gate = |left: &str, right: &str, turn: &str| {
@@ -27,7 +27,7 @@ fn a_check_that_reads_two_nodes_holds_in_either_order_of_a_tick() {
         assert_eq!(kinds(&gate(left, right, "5..10 msec")), [Kind::Check], "left on {left}");
         assert_eq!(kinds(&gate(left, right, "5..9 msec")), [], "left on {left}");
     }
-    // The same with two delays that end in one step of the search.
+    // In this cell, two delays end in one step of the search.
     let waits = |a: &str, b: &str| {
         format!(
             "{TWO}task a on {a}\nvar x: bool;\nbegin x := true; delay 5 msec; x := false; end a;\n\
@@ -66,8 +66,8 @@ fn of_two_tasks_of_a_node_either_goes_on_first() {
     );
 }
 
-/// Two tasks of a node each enter unless the other has said that it entered. Both tasks may send that message before either
-/// receives it.
+/// Each of two tasks of a node enters, unless the other has reported that it entered. Both tasks may send that report
+/// before either receives one.
 #[test]
 fn what_two_tasks_of_a_node_send_each_other_may_cross() {
     let enters = |name: &str, (own, other): (&str, &str), takes: &str| {

@@ -29,10 +29,10 @@ fn words(all: &[impl Debug]) -> impl Iterator<Item = String> {
 
 /// The facts in which both searches must agree: the findings, and what was reached.
 fn told(verdicts: &Verdicts, is_pruned: bool) -> Vec<String> {
-    // Behind a deadlock nothing is proved of statements that were not reached.
+    // A search that stopped at a finding proves nothing about the statements that it did not reach.
     let is_told = |found: &&Finding| !(waits(found) || is_pruned && found.kind == Kind::Unreached);
     let found = verdicts.findings.iter().filter(is_told).map(|found| {
-        // Starvation is judged on one path only.
+        // Starvation counts as a time_out, because the search examines only one path to decide between the two.
         let kind = if found.kind == Kind::Starves { Kind::TimeOut } else { found.kind };
         let phase = (found.phase, found.hypothesis);
         format!(
@@ -87,9 +87,10 @@ struct Compared {
     /// has the number without.
     reduced: u64,
     plain: u64,
-    /// The number of cells whose search by zones was inexact, because a sum of three instants mattered in it.
+    /// The number of cells whose search by zones was inexact: it also covered times that cannot occur.
     inexact: u64,
-    /// The number of cells with hulls, if a control may have one zone only.
+    /// The number of cells whose search is inexact only if it keeps one zone for each control (a state without its
+    /// times).
     hulls: u64,
 }
 
@@ -165,8 +166,9 @@ fn compare_plain(name: &str, cell: &mut Text, zones: &Verdicts) -> (u64, u64) {
     (kept(&plain), kept(zones))
 }
 
-/// Compares the search in which each second zone of a control becomes a hull. It finds the same, but more statements and waits may be
-/// possible at the times that only a hull has. Returns 1 if there was a hull.
+/// Compares a search that keeps one zone for each control: a second zone is joined with the first one to their hull,
+/// the least zone that includes both. The search must find the same, but may reach more statements and waits, at times
+/// that only a hull has. Returns 1 if hulls made the search inexact.
 fn compare_hulls(name: &str, cell: &mut Text, (every, zones): (&Verdicts, &Verdicts)) -> u64 {
     let usual = std::mem::replace(&mut cell.plan.zones, 1);
     let hulls = check_cell(&Arc::new(cell.plan.clone()));
@@ -278,7 +280,8 @@ fn measure(name: &str, cell: &mut Text, seconds: u64) {
     }
 }
 
-/// A message that expires while it waits for its receiver: how long it was on its link makes no difference to that instant.
+/// A message expires while it waits for its receiver. The time that it spent on its link does not change the instant of
+/// expiry.
 #[test]
 fn a_message_that_waits_expires_at_the_same_instant_by_zones() {
     let text = |work: &str| {
@@ -291,7 +294,7 @@ fn a_message_that_waits_expires_at_the_same_instant_by_zones() {
             receive put(m) within 1 msec on time_out do skip; end;\ngot := m = 1;\nend b;\ncheck c: never b.got;\n"
         )
     };
-    // It is sent after 1 to 3 msec and expires after 13 to 15. The check fails if it has come and has not expired.
+    // The message is sent after 1 to 3 msec and expires 12 msec later. The check fails if `b` takes the message.
     let cases = [("2", true), ("6", true), ("14", true), ("15", false), ("16..20", false), ("12..20", true)];
     for (work, is_got) in cases {
         let mut cell = Text::new(&text(work));
@@ -302,7 +305,8 @@ fn a_message_that_waits_expires_at_the_same_instant_by_zones() {
     }
 }
 
-/// A lost heartbeat ends the lease. An arrival that only renews it leads to the same control as its loss, at other times.
+/// A lost heartbeat lets the lease end. The heartbeat's arrival leads to the same control (a state without its times)
+/// as its loss, but at other times.
 #[test]
 fn a_lease_that_a_loss_ends_ends_by_zones_too() {
     let text = |lease: u64, faults: &str| {
@@ -330,8 +334,8 @@ fn a_lease_that_a_loss_ends_ends_by_zones_too() {
     }
 }
 
-/// After a restart a script is held back for its time_out and the delay of its link, 7 ticks. Its question then takes one more. Both searches
-/// share the code that holds a script back, so the two times are stated here.
+/// After a restart the script of `b` is held back for 7 ticks: its time_out and the delay of its link. Its query then
+/// takes one tick more. Both searches share the code that holds a script back, so this test states the two times.
 #[test]
 fn a_script_that_is_held_back_begins_on_time() {
     let text = |until: u64| {

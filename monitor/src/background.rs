@@ -13,7 +13,7 @@ const LONGEST: usize = 40;
 pub fn is_light() -> Option<bool> {
     let mut options = QueryOptions::default();
     options.timeout = WITHIN;
-    // The colour of the text is not asked for: some terminals know only the one of their background.
+    // Only the background is queried, because some terminals do not answer a query for the text colour.
     let background = background_color(options).ok()?;
     Some(background.perceived_lightness() > 0.5)
 }

@@ -31,7 +31,7 @@ pub enum Hit {
     Lane(TaskId),
     /// The title of a column or a figure, to be explained.
     Column(&'static str),
-    /// A key that the screen names, or a fact that this key changes.
+    /// A key that the screen names, or a fact that a key changes.
     Key(Action),
     /// A command that the help names: its word is typed.
     Command(&'static str),
@@ -50,7 +50,7 @@ pub enum Hit {
 }
 
 impl Hit {
-    /// The title that it explains.
+    /// The title that this target explains.
     const fn title(&self) -> Option<&'static str> {
         match self {
             Self::Title(_, title) | Self::Column(title) => Some(title),

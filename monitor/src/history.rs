@@ -32,7 +32,7 @@ pub struct History {
     known: Vec<Known>,
     /// The memory of the closed segments, in bytes.
     weight: usize,
-    /// How much of the budget is left to others, in bytes.
+    /// How many bytes of the budget [`Self::reserve`] left to the stores that are shown while the screen is paused.
     reserved: usize,
     verdicts: Verdicts,
 }

@@ -10,14 +10,14 @@ use std::time::Duration;
 /// How long leaving the monitor waits for the last line to be written.
 const LAST: Duration = Duration::from_millis(500);
 
-/// The thread. Dropping this ends it, after what it was given is written.
+/// The thread. Dropping this value ends the thread after it has written the lines that it was given.
 pub struct Keeper {
     lines: Option<Sender<Typed>>,
     ended: Receiver<()>,
 }
 
 impl Keeper {
-    /// Starts it. The first line that cannot be written is reported by `tell`, later ones are not. Without a thread left,
+    /// Starts the thread. `tell` reports the first write error, and no later ones. If no thread can be started,
     /// nothing is written.
     pub fn start(path: PathBuf, tell: impl Fn(String) + Send + 'static) -> Self {
         let ((lines, given), (end, ended)) = (channel::<Typed>(), channel());

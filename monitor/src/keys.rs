@@ -26,7 +26,7 @@ pub enum Action {
     Right,
     /// Selects the next title of a column or figure, and explains it.
     NextTitle,
-    /// Selects the previous one.
+    /// Selects the previous title of a column or figure, and explains it.
     PreviousTitle,
     /// Opens the selected row.
     Enter,

@@ -14,7 +14,7 @@ const NEAREST: usize = 40;
 /// A row of the problems screen.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Problem {
-    /// A block of the cell that no finding mentions.
+    /// A block of the cell (a task that others wait for, for example) that no finding mentions.
     Block(Blocker),
     /// A finding of the cell.
     Finding {

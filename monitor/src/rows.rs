@@ -79,8 +79,9 @@ pub struct Shape {
 /// In a cell of up to this many nodes, each node has an open row of its own.
 const FEW: usize = 6;
 
-/// The healthy nodes that share one row: in a cell of many nodes, those that are up and without a finding. The nodes in
-/// `loud` keep rows of their own in any case. With a filter, or a sort order by amounts, all nodes have rows of their own.
+/// The healthy nodes that share one row. In a cell of many nodes these are the nodes that are up and without a
+/// finding. The nodes in `loud` always keep rows of their own. With a filter, or sorted by slack or queue, all nodes
+/// do.
 #[must_use]
 pub fn healthy(
     store: &Store,

@@ -128,7 +128,7 @@ fn frame<W: Write>(
 ) -> io::Result<()> {
     queue!(terminal.backend_mut(), BeginSynchronizedUpdate)?;
     let drawn = terminal.draw(|frame| view(frame.buffer_mut())).map(|_| ());
-    // The terminal would hold back the shell's output, too. So the update ends even if drawing failed.
+    // The update ends even if drawing failed, because the terminal would otherwise hold back the shell's output, too.
     execute!(terminal.backend_mut(), EndSynchronizedUpdate).and(drawn)
 }
 

@@ -125,7 +125,7 @@ pub struct Theme {
 pub struct Own([Option<Color>; Self::ROLES.len()]);
 
 impl Own {
-    /// The user has chosen no colours.
+    /// No colours of the user.
     const NONE: Self = Self([None; Self::ROLES.len()]);
     /// The roles whose colour the user may choose, and their names in the settings file.
     pub const ROLES: [(Ink, &'static str); 7] = [
@@ -228,7 +228,7 @@ impl Theme {
             (true, true, true) => Self::LIGHT,
             (false, true, _) => Self::MONO,
             (true, false, false) => Self::COLOUR_ASCII,
-            // The ASCII theme with colours is for a dark background only.
+            // There is no ASCII theme with colours for a light background.
             (false, false, _) | (true, false, true) => Self::ASCII,
         }
     }

@@ -1,5 +1,5 @@
-//! The lines that the user typed after `/` and `:`, and the small file that keeps them between runs: one line each, behind
-//! its sign, latest last.
+//! The lines that the user typed after `/` and `:`, and the small file that keeps them between runs. The file has one
+//! line for each, which begins with `/` or `:`; the latest is last.
 
 use imrs_wire::files::{self, FileError};
 use std::fmt::Write as _;
@@ -36,7 +36,7 @@ pub enum TypedError {
     /// The file cannot be read.
     #[error(transparent)]
     File(#[from] FileError),
-    /// The monitor never writes a line such as the one with this number.
+    /// The line with this number begins with neither `/` nor `:`, which the monitor never writes.
     #[error("line {0} is neither a filter nor a command")]
     Line(usize),
 }
@@ -77,7 +77,7 @@ impl Typed {
         text
     }
 
-    /// The lines in the text of such a file.
+    /// Reads the lines from the text of the file.
     fn parse(text: &str) -> Result<Self, TypedError> {
         let mut typed = Self::default();
         for (number, line) in (1..).zip(text.lines()) {
@@ -95,7 +95,7 @@ impl Typed {
     }
 }
 
-/// The lines in such a file; none if there is no file.
+/// The lines in the file at `path`; none if there is no file.
 ///
 /// # Errors
 /// [`TypedError`].
@@ -107,8 +107,8 @@ pub fn load(path: &Path) -> Result<Typed, TypedError> {
     }
 }
 
-/// Writes the lines into such a file, which only its owner can read. What another monitor wrote there meanwhile stays.
-/// The file is replaced as a whole, so that no reader sees a part of it.
+/// Writes the lines into the file at `path`, which only its owner can read. Lines that another monitor has written
+/// there meanwhile are kept. The file is replaced as a whole, so that no reader sees a part of it.
 ///
 /// # Errors
 /// An error of the file system, for the file or its folder.
@@ -124,7 +124,7 @@ pub fn save(path: &Path, typed: &Typed) -> io::Result<()> {
     files::free(&new, true)?;
     files::create(&new)?.write_all(all.text().as_bytes())?;
     std::fs::rename(&new, path).inspect_err(|_| {
-        // The error of the rename says more than one of this.
+        // The caller gets the error of the rename. An error of this removal would say less.
         let _ = std::fs::remove_file(&new);
     })
 }
@@ -149,7 +149,7 @@ mod tests {
         assert_eq!(load(&path).unwrap(), typed);
         assert_eq!(path.metadata().unwrap().permissions().mode() & 0o777, 0o600);
         assert_eq!(std::fs::read_dir(path.parent().unwrap()).unwrap().count(), 1);
-        // A second monitor knows other lines; a repeated one becomes the latest.
+        // A second monitor saves other lines. A line that it repeats becomes the latest.
         save(&path, &lines(&["slack<20ms"], &["quit"])).unwrap();
         let both = lines(&[" b\u{e9}at", "slack<20ms"], &["port beat", "theme mono", "quit"]);
         assert_eq!(load(&path).unwrap(), both);
@@ -191,7 +191,7 @@ mod tests {
             save(&path, &lines(&[], &["quit"])).unwrap();
             assert_eq!(load(&path).unwrap(), lines(&[], &["quit"]));
         }
-        // A folder in its place is no file, and nothing is left behind.
+        // If a folder has the file's name, loading and saving fail, and no temporary file is left behind.
         std::fs::remove_file(&path).unwrap();
         std::fs::create_dir(&path).unwrap();
         assert!(load(&path).unwrap_err().to_string().contains("folder"));

@@ -87,7 +87,7 @@ pub fn show(
     }))?;
     let keys = Some(Keys::start(sender.clone())?);
     let told = sender.clone();
-    // The screen may be gone by then, and with it the reader of this.
+    // When a line cannot be saved, the main loop may have ended already, and then the error is dropped.
     let tell = move |text| drop(told.try_send(Input::Msg(Msg::Told(text))));
     let keeper = files.lines.map(|path| Keeper::start(path, tell));
     let mut screen = Loop {

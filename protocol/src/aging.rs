@@ -27,7 +27,7 @@ pub struct Service {
     pub penalty: Ticks,
 }
 
-/// How many times the first message of a port is bypassed before the port is served first (D58).
+/// How many times other ports are served although this port has a message, before this port is served first (D58).
 #[must_use]
 pub const fn bypass_limit(ports: u16, levels: u8) -> u16 {
     let each = ports.saturating_add(levels as u16);

@@ -168,7 +168,7 @@ pub struct PortDecl {
     pub usage: Usage,
     /// `user_list`: the tasks that it names.
     pub users: Vec<UserDecl>,
-    /// `user_list`: the modules that it names. A module stands for all its tasks but the owner (D32).
+    /// `user_list`: the modules that it names. Each module adds all its tasks except the owner to the users (D32).
     pub modules: Vec<String>,
     /// `time_out`: the TTL of a message, which is also its priority and the time that its sender waits (§III).
     pub time_out: Ticks,
@@ -196,7 +196,8 @@ pub struct PortDecl {
     pub answer_fragments: u8,
     /// `rate`: the highest rate at which messages are sent.
     pub rate: Option<Rate>,
-    /// The couple, by position, whose lease guards this port: receivers drop messages of an older epoch (D61).
+    /// The position of the couple (primary and standby) whose lease guards this port: receivers drop messages of an older lease
+    /// (D61).
     pub guard: Option<u8>,
 }
 

@@ -142,7 +142,7 @@ impl fmt::Display for MessageId {
     }
 }
 
-/// The number of a meeting on a `waitfor` port (D3). Wraps; ordered by distance like [`Seq24`].
+/// The number of a meeting at a rendezvous, a `waitfor` port (D3). Wraps; ordered by distance like [`Seq24`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Round(pub u16);
 

@@ -71,7 +71,7 @@ impl Index {
     pub fn remove(&mut self, key: u32) -> Option<Slot> {
         let (Place(mut hole), found) = self.look(key);
         found?;
-        // Entries that stand further on because this place was taken move back into the hole, so that every
+        // Entries that were stored further on, because this place was taken, move back into the hole, so that every
         // search still finds its key.
         let mut place = self.after(hole);
         loop {

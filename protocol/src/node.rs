@@ -62,7 +62,7 @@ pub trait NodeOutbox {
     fn signal(&mut self, task: TaskId, signal: Signal);
     /// Reports what happened at a task or, if the task is `None`, elsewhere in the node.
     fn observe(&mut self, _: Option<TaskId>, _: Observation) {}
-    /// The packet that one task of the node sends another one in a fused step. It is made only for an outbox that looks at it (D207).
+    /// Reports the packet that a fused step passes between two tasks of the node. Only a call of the closure builds it (D207).
     fn within(&mut self, _: impl FnOnce() -> Packet) {}
 }
 
@@ -83,8 +83,8 @@ pub struct Parts {
 #[derive(Clone, Debug)]
 pub struct Node {
     parts: Parts,
-    /// The time of the last input. The parts have clocks of their own, which may show an earlier time: they stand still
-    /// unless [`counts`](Self::counts) holds.
+    /// The time of the last input. Each part has its own clock. It may show an earlier time, because it stops while
+    /// [`counts`](Self::counts) is false.
     now: Instant,
     /// Pending effects within the node, in order. Empty after each [`step`](Self::step).
     work: VecDeque<Work>,
@@ -145,7 +145,7 @@ impl Node {
                 self.step(now, NodeInput::Time, out);
             }
             if self.fuse(*task, request, out) {
-                // A fused step's packets never wait in the transit buffer, but a link may now take others that do.
+                // The fused step adds no packet to the transit buffer, but a link may be ready now for packets that wait there.
                 if !self.parts.transit.is_empty() {
                     self.flush(out);
                 }
@@ -155,7 +155,7 @@ impl Node {
         self.small_steps(now, input, out);
     }
 
-    /// [`step`](Self::step) without fused steps: the steps that a checker explores one by one.
+    /// Like [`step`](Self::step), but never combines small steps into a fused step, because a checker explores each small step.
     pub fn small_steps(&mut self, now: Instant, input: NodeInput, out: &mut impl NodeOutbox) {
         self.begin(now, input, out);
         while let Some(work) = self.work.pop_front() {
@@ -225,7 +225,7 @@ impl Node {
         self.times_left().reduce(Ticks::min)
     }
 
-    /// How long from [`now`](Self::now) until time alone makes each part of this node act that it makes act at all.
+    /// For each part of this node that has a deadline: how long from [`now`](Self::now) until time alone makes the part act.
     pub fn times_left(&self) -> impl Iterator<Item = Ticks> {
         let Parts { table: _, tasks, transit, timer } = &self.parts;
         let tasks = tasks.iter().map(|task| task.next_deadline() - task.now());

@@ -111,15 +111,15 @@ pub enum Event {
     PeerRestarted,
     /// A message was dropped.
     Discarded(Reason),
-    /// The task reached a waitfor.
+    /// The task reached a `waitfor` (rendezvous).
     Reached,
     /// The task moved on to a fresher round while waiting.
     Rejoined,
-    /// The task heard that another member has arrived at the waitfor.
+    /// The task heard that another member has arrived at the rendezvous.
     PartnerArrived,
-    /// Another member gave up the waitfor.
+    /// Another member gave up the rendezvous.
     PartnerAborted,
-    /// A CONFIRM was sent.
+    /// The task sent CONFIRM: all members have reached the rendezvous.
     Confirmed,
     /// The task was released because it held all arrivals.
     ReleasedComplete,
@@ -127,7 +127,7 @@ pub enum Event {
     ReleasedByConfirm,
     /// All members had arrived, but with too little time left to release (D2).
     WithinMargin,
-    /// The task gave up a waitfor.
+    /// The task gave up a rendezvous.
     GaveUp,
     /// A message for a handler did not outrank the running activation (R16).
     Rejected,
@@ -135,7 +135,7 @@ pub enum Event {
     Interrupted,
     /// A handler ended.
     Resumed,
-    /// The task holds the lease of its couple (D61).
+    /// The task, a primary or standby, got the lease under which it may act (D61).
     Granted,
     /// The task took over from its partner.
     TookOver,
@@ -175,13 +175,13 @@ impl Observation {
 /// Counters of one port at one task. They only grow during an incarnation of the node.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct PortCounters {
-    /// Messages that the task sent, or waitfors that it reached, without retransmitted copies.
+    /// Messages that the task sent, or rendezvous that it reached, without retransmitted copies.
     pub sent: u64,
     /// Copies that were retransmitted.
     pub resent: u64,
     /// Messages put into the buffer, or handed over at once.
     pub enqueued: u64,
-    /// Messages handed to the task, or waitfors released.
+    /// Messages handed to the task, or rendezvous from which it was released.
     pub delivered: u64,
     /// Messages whose remaining time ended at this task.
     pub expired: u64,
@@ -220,9 +220,9 @@ pub enum TaskState {
         /// The remaining time of the message.
         remaining: Ticks,
     },
-    /// The task waits for the other members at a waitfor.
+    /// The task waits for the other members at a rendezvous.
     Waiting {
-        /// The port of the waitfor.
+        /// The port of the rendezvous.
         port: PortId,
         /// The round in which the task waits.
         round: Round,
@@ -267,7 +267,7 @@ pub struct PortView {
     pub counters: PortCounters,
 }
 
-/// A waiting message with its retry state. Its remaining time, its urgency and the time of its next offer are three
+/// A waiting message with its rejections. Its remaining time, its urgency and the time of its next offer are three
 /// separate things (D4).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct HeldView {
@@ -296,7 +296,7 @@ pub struct QueueView {
     pub handled: bool,
     /// How often other ports were served while this port had a message to serve (D58).
     pub bypassed: u16,
-    /// How often this port may be bypassed at most (D58).
+    /// How often other ports may be served before this port goes first (D58).
     pub bypass_limit: u16,
     /// The waiting messages in the order of their remaining times, at most as many as the monitor asked for.
     pub queue: Vec<HeldView>,
@@ -305,7 +305,7 @@ pub struct QueueView {
 /// The state of one task in a rendezvous.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum MeetingState {
-    /// The task has not reached the waitfor.
+    /// The task has not reached the rendezvous.
     Away,
     /// The task waits for the other members.
     Gathering,
@@ -352,7 +352,7 @@ pub struct TaskView {
     pub state: TaskState,
     /// The task's ports, ascending.
     pub ports: Vec<PortView>,
-    /// The task's waitfors, ascending by port.
+    /// The task's rendezvous, ascending by port.
     pub meetings: Vec<MeetingView>,
 }
 

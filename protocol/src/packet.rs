@@ -49,11 +49,11 @@ pub enum Kind {
     Reply = 2,
     /// The answer to a query.
     Response = 3,
-    /// "I have reached the waitfor" (§4.3).
+    /// "I have reached the rendezvous" (§4.3).
     Arrive = 4,
-    /// "All have reached the waitfor" (§4.3).
+    /// "All have reached the rendezvous" (§4.3).
     Confirm = 5,
-    /// "I have left the waitfor without a release" (D2).
+    /// "I have left the rendezvous without a release" (D2).
     Abort = 6,
     /// An answer of the communication task itself; see [`Control`].
     Control = 7,

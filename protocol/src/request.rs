@@ -71,7 +71,7 @@ pub enum Request {
         /// The answer.
         contents: Contents,
     },
-    /// ARRIVE at a `waitfor` (§4.3). Answered by [`Signal::Released`] or [`Signal::GaveUp`].
+    /// ARRIVE at a `waitfor` (rendezvous, §4.3). Answered by [`Signal::Released`] or [`Signal::GaveUp`].
     Arrive {
         /// The port of the `waitfor`.
         port: PortId,
@@ -124,7 +124,7 @@ pub enum Request {
     Return,
     /// Until `Atomic(false)` only the lease's handlers interrupt. Answered by [`Signal::Accepted`] (D15).
     Atomic(bool),
-    /// Waits until the task may act in its couple: under a lease, or after a take-over. Answered by [`Signal::Granted`] (D61).
+    /// Lets a primary or standby wait until it may act: by lease, or by a take-over. Answered by [`Signal::Granted`] (D61).
     Lease,
     /// From here on the answers to heartbeats carry this, at most [`PUBLISHED_BYTES`]. Answered by [`Signal::Accepted`] (D61).
     Publish(Contents),
@@ -307,7 +307,7 @@ pub enum Outcome {
     PeerRestarted,
 }
 
-/// Why a task was released from a `waitfor`.
+/// Why a task was released from a `waitfor` (rendezvous).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum ReleasedBy {
     /// The task held the arrivals of all others, each with more patience left than the margin.
@@ -321,7 +321,7 @@ pub enum ReleasedBy {
 pub enum Fault {
     /// The task neither owns nor uses the port.
     NotYourPort,
-    /// The port's usage does not allow this; or the task is in no couple, or carries out no action.
+    /// The port's usage does not allow this; or the task is neither primary nor standby, or carries out no action.
     WrongUsage,
     /// The named task is not at the other end of the port.
     NotAPeer,
@@ -376,7 +376,7 @@ pub enum Signal {
     },
     /// The running activation is suspended for a handler, which ends with [`Request::Return`].
     Interrupt(Call),
-    /// The task may act in its couple from now on, under this epoch (D61).
+    /// The task, a primary or standby, may act from now on, under this epoch of its lease (D61).
     Granted(u8),
     /// The message that a GET waited for.
     Message(Delivery),

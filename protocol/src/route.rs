@@ -49,7 +49,7 @@ pub fn arrived(table: &NodeTable, from: NodeId, mut packet: Packet, charge: Tick
     }
     if table.rules().time_stamp == TimeStamp::Remaining {
         packet.remaining = packet.remaining - charge;
-        // Only the variant that accepts late replies accepts a reply after its request has ended.
+        // Only the rule variant that accepts late replies accepts a reply after its request has ended.
         let outlives =
             matches!(packet.kind, Kind::Reply | Kind::Response) && !table.rules().refuse_late_replies;
         // At its destination node an expired message goes to its task, which drops it and counts it at the port.

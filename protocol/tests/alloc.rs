@@ -96,7 +96,7 @@ impl Pair {
     }
 }
 
-/// Takes the paths of handlers, rejections, fragments, answer sets and timers.
+/// Exercises handlers, rejections, fragments, answer sets and timers.
 fn interrupt(pair: &mut Pair, contents: Contents) {
     let ask = Request::Send { port: ASK, to: Target::One(HOIST), contents, time_out: None };
     let order = [Ranked::Timers, Ranked::Own, Ranked::Port(ASK)];
@@ -134,7 +134,7 @@ fn interrupt(pair: &mut Pair, contents: Contents) {
     pair.room.signals = [None; 16];
 }
 
-/// Takes every kind of message path once.
+/// Exercises every kind of message path once.
 fn exercise(pair: &mut Pair, contents: Contents) {
     let command = Request::Send { port: MOVE, to: Target::One(HOIST), contents, time_out: None };
     let status = Request::Send { port: HEARTBEAT, to: Target::All, contents, time_out: None };
@@ -148,7 +148,7 @@ fn exercise(pair: &mut Pair, contents: Contents) {
     pair.ask(HOIST, Request::Reply { to: message.from, contents });
     pair.told(|s| matches!(s, Signal::Outcome(Outcome::Reply(_))));
     interrupt(pair, contents);
-    // Status messages until the buffer evicts some of them, then the expiry of the others.
+    // Status messages are sent until the buffer evicts some of them. Then the others expire.
     for _ in 0..4 {
         pair.ask(ARM, status);
     }
@@ -210,7 +210,8 @@ fn loading_a_state_in_place_allocates_nothing() {
     let task = &mut pair.nodes[0].parts_mut().tasks[0];
     let home = ([Frame::ROUND; 5], [Seq24::new(0); 3]);
     let frame = Frame { rounds: &home.0, sequences: &home.1, incarnations: false };
-    // Relative to ids that are far away, the state does not fit its packed form. This is an error, and no value saturates.
+    // The ids of this frame are far from those of the state, so the packed form has no room for the
+    // differences. Packing is an error, and no value saturates.
     assert_eq!(Encode::bytes(&frame, |w| task.walk(&table, w)), Err(Overflow));
     let before = allocations();
     Decode::read(&[0; 64], false, |r| task.walk(&table, r));

@@ -295,7 +295,7 @@ fn said(seen: &support::Effects) -> Vec<[u8; 2]> {
     answers.filter_map(|packet| packet.contents.as_bytes().first_chunk().copied()).collect()
 }
 
-/// A standby's heartbeat. Echoes the answer, of the primary's incarnation `whose`, to the one `back` numbers before.
+/// A standby's heartbeat. It echoes the answer of the primary's incarnation `whose` to the heartbeat `back` numbers before.
 fn heartbeat(sequence: u32, back: u8, epoch: u8, whose: u8) -> Packet {
     let contents = Contents::new(&[back, 0, epoch, whose]).expect("short");
     let id = MessageId { sequence: Seq24::new(sequence), ..MessageId::default() };
@@ -362,7 +362,7 @@ fn a_node_that_started_again_takes_the_epoch_of_one_that_knows_it() {
     }
 }
 
-/// Guess and known epoch are equal by chance: an earlier incarnation of the primary may have acted in this epoch.
+/// The guess equals the known epoch by chance, but is void: an earlier incarnation of the primary may have acted in it.
 #[test]
 fn what_was_proposed_from_a_guess_is_over_when_the_partner_knows_an_epoch() {
     let mut primary = Solo::incarnation(&table(true), P, 1, true);

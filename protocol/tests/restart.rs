@@ -1,4 +1,4 @@
-//! Restarts of a node (D6, D49): the node does not act as if it knew what it has lost.
+//! Restarts of a node (D6, D49): a restarted node does not rely on the state that it has lost.
 
 use crate::support::{Solo, arrive, get, reply, send};
 use imrs_protocol::*;

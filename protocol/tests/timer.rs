@@ -193,7 +193,7 @@ fn a_stopped_timer_never_interrupts_and_leaves_nothing_behind() {
     net.ask(X, Request::Stop { id: TimeId(1) });
     let entries = net.nodes[0].node.parts().timer.entries();
     assert_eq!(entries, [(X, TimeId(2), Ticks(9))]);
-    // Stopping also takes back a timer that has ended, but whose handler has not begun.
+    // A stopped timer that has already ended does not call its handler any more, if the handler has not begun.
     net.run(9);
     net.ask(X, Request::Stop { id: TimeId(2) });
     net.ask(X, Request::Work);

@@ -158,7 +158,7 @@ fn what_can_arrive_no_more_is_dropped_and_its_task_knows_that_it_never_left() {
     let mut rig = Rig::new(8);
     rig.offer(status(1, 10));
     rig.offer(command(2, 10));
-    // The link has a bound of four ticks.
+    // The link delay is up to four ticks, so a packet with less time left is dropped.
     assert_eq!(rig.advance(5), Out::default());
     let out = rig.advance(1);
     assert_eq!(out.drops, [(Reason::ExpiredInTransit, 2), (Reason::ExpiredInTransit, 1)]);
@@ -271,8 +271,8 @@ fn steps() -> impl Strategy<Value = Vec<Step>> {
 }
 
 proptest! {
-    /// No command that can still arrive is dropped for space while the buffer holds status (D60). The clock may also be set
-    /// back to zero at any moment.
+    /// No command that can still arrive is dropped for lack of space while the buffer holds status messages (D60). The
+    /// clock may also be set back to zero at any moment.
     #[test]
     fn no_command_goes_for_space_while_status_is_held(steps in steps(), capacity in 1..5_u16, mask: u64) {
         let (mut rig, mut rebased) = (Rig::new(capacity), Rig::new(capacity));
@@ -320,7 +320,7 @@ fn a_full_buffer_says_so_without_dropping_another_command() {
     let out = rig.offer(Packet { source: TaskId(3), ..command(2, 30) });
     let word = out.words.first().expect("the source hears of it");
     assert_eq!(word, "REFUSED ON THE WAY T2>T3 #2 for 30");
-    // The refusal is itself a packet for a task of another node. It enters the buffer again, and finds space of its own.
+    // The refusal is a packet for a task of another node. It enters the same buffer, where refusals have their own queue.
     let said = Control::RefusedOnTheWay.to_contents();
     let word = Packet {
         kind: Kind::Control,

@@ -27,8 +27,8 @@ pub(crate) const FAR: Micros = u64::MAX;
 const NANOS_PER_SECOND: u64 = 1_000_000_000;
 const NANOS_PER_MICRO: u64 = 1_000;
 
-/// A measured offset counts as unchanged if it differs from the known offset by at most this (ns), because the two
-/// clocks are read one after the other.
+/// The greatest difference (ns) at which a measured offset still counts as the known one: the two clocks are read one
+/// after the other, not at once.
 const READ_APART: u64 = 10 * NANOS_PER_MICRO;
 
 /// The last known offset of `CLOCK_BOOTTIME` from `CLOCK_MONOTONIC`, in nanoseconds. Only a suspend changes it. It is negative
@@ -74,7 +74,8 @@ fn here() -> &'static (Here, Counter) {
         let kept_by = std::fs::read_to_string(KEPT_BY).unwrap_or_default();
         let is_asked_for = std::env::var_os(CLOCK).is_none_or(|asked| asked != "kernel");
         let usable = is_asked_for && COUNTERS.contains(&kept_by.trim());
-        // `quanta` measures a rate of its own when a clock is made, which takes time.
+        // Done only if the counter is usable: when `quanta` makes a clock, it first measures a rate of its own, which
+        // takes time.
         let here = Here(usable.then(quanta::Clock::new));
         let counter = Counter::new(&here, usable);
         (here, counter)
@@ -86,7 +87,7 @@ pub(crate) fn is_by_counter() -> bool {
     here().1.is_trusted()
 }
 
-/// The earliest and the latest time that it may be now.
+/// The earliest and the latest possible value of the current time.
 fn bounds() -> Between {
     let (here, counter) = here();
     ANCHOR.with(|anchor| counter.read(here, anchor))
@@ -99,7 +100,8 @@ fn ahead() -> i64 {
     if apart(boot, before).abs_diff(known) <= READ_APART {
         return known;
     }
-    // The machine was suspended, or this thread was preempted between the two readings.
+    // If the offset differs from the known one, the machine was suspended, or this thread was preempted between two
+    // readings.
     let ahead = between(known, before, boot, read(ClockId::Monotonic));
     AHEAD.store(ahead, Ordering::Relaxed);
     ahead
@@ -137,8 +139,8 @@ pub(crate) fn next() -> Micros {
     bounds().latest.div_ceil(NANOS_PER_MICRO)
 }
 
-/// As [`now`], by the kernel's clock alone. The counter may stand still while the machine is suspended, and a thread that
-/// ran at that moment does not know of it for as long as it uses its anchor. So this decides whether a lease has ended.
+/// As [`now`], by the kernel's clock alone. The counter may stop while the machine is suspended, and a thread that
+/// was running does not notice while it uses its anchor. So this function decides whether a lease has ended.
 pub(crate) fn now_by_kernel() -> Micros {
     nanos() / NANOS_PER_MICRO
 }
@@ -148,8 +150,8 @@ pub(crate) fn next_by_kernel() -> Micros {
     nanos().div_ceil(NANOS_PER_MICRO)
 }
 
-/// Makes the calling thread ask the kernel for the time again after its sleep, which begins now. Every sleep of a thread
-/// that reads this clock begins with this call.
+/// Makes the calling thread read the kernel's clock after its sleep, which begins now. Every thread that uses this
+/// clock must call this before it sleeps.
 pub(crate) fn sleeps() {
     ANCHOR.with(counter::renew);
 }
@@ -189,7 +191,7 @@ pub(crate) fn micros(length: Duration) -> Micros {
 
 /// Asks the kernel to end this thread's sleeps on time instead of up to 50 us late, which is its default.
 pub(crate) fn sleep_exactly() {
-    // Fails only on a kernel without this call; sleeps then stay as late as the default allows.
+    // This call fails only on a kernel that lacks it; sleeps then stay up to 50 us late.
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
 }
 
@@ -210,7 +212,8 @@ mod tests {
         let at = now() + 1_000_000;
         let monotonic = read(ClockId::Monotonic);
         let left = nanos_of(at).expect("an instant") - monotonic;
-        // This thread may have been preempted between the two readings, but no machine is suspended during a test.
+        // This thread may have been preempted between the two readings. The machine was not suspended, as none is
+        // during a test.
         assert!(left <= 1_000_000_000 + READ_APART, "{left} ns");
         assert_eq!(nanos_of(at), nanos_of(at));
     }
@@ -246,7 +249,7 @@ mod tests {
         while counter.is_trusted() && !ANCHOR.with(|anchor| counter.is_in_use(anchor)) {
             bounds();
         }
-        // The counter of this thread stood still in a suspend.
+        // The anchor of this thread is as after a suspend during which the counter stopped.
         ANCHOR.set(Anchor::as_before(LONG, here));
         let kernel = nanos();
         assert!(now_by_kernel() >= kernel / NANOS_PER_MICRO && next_by_kernel() * NANOS_PER_MICRO >= kernel);

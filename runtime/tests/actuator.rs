@@ -74,7 +74,7 @@ fn a_deadline_ends_unless_it_is_renewed_and_for_good_when_the_runtime_says_no_mo
     let gate = Gate::open(&path).unwrap();
     assert!(matches!(gate.admit(1, Deadline::at(1)), Err(Refused::Deadline)), "long ago");
     assert_eq!(fs::read_to_string(&path).unwrap(), "", "it was not admitted");
-    // A century ahead: no test takes so long.
+    // This instant is a century ahead, so no test reaches it.
     let far = 3_153_600_000_000_000_u64;
     let deadline = Deadline::at(far);
     let mut permit = gate.admit(1, deadline.clone()).unwrap();

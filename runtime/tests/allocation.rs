@@ -252,7 +252,7 @@ fn messages_allocate_nothing_in_steady_state() {
     assert_eq!(allocated, [], "several datagrams together");
 }
 
-/// A link that can be closed: meanwhile its node receives nothing.
+/// A link that can be closed. While it is closed, its node receives nothing.
 struct Gate<L> {
     link: L,
     state: Mutex<Door>,
@@ -310,8 +310,8 @@ impl<L: Link> Link for Gate<L> {
     }
 }
 
-/// A thread that never got two packets for a task in one datagram gets forty of them. This happens after a node stood
-/// still, or if its neighbour sends more at once than ever before.
+/// A thread that has never received two packets for a task in one datagram receives forty. This can happen after a
+/// node was stopped, or if a neighbour sends more at once than ever before.
 #[test]
 fn packets_that_come_together_for_the_first_time_allocate_nothing() {
     let _alone = alone();

@@ -9,7 +9,7 @@ struct Counting;
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// How many bytes are allocated at present.
+/// How many bytes are allocated now.
 static LIVE: AtomicI64 = AtomicI64::new(0);
 
 thread_local! {
@@ -17,19 +17,19 @@ thread_local! {
     static OWN: Cell<u64> = const { Cell::new(0) };
 }
 
-/// Whether the threads in [`THREADS`] are counted.
+/// Whether the allocations of the threads in [`THREADS`] are counted now.
 static COUNTING: AtomicBool = AtomicBool::new(false);
 /// The threads that have allocated since counting began.
 static THREADS: [Thread; 64] = [const { Thread { id: AtomicI32::new(0), times: AtomicU64::new(0) } }; 64];
 
 struct Thread {
-    /// The kernel's id of the thread; zero if the place is free.
+    /// The kernel's id of the thread; zero if no thread has this slot.
     id: AtomicI32,
     times: AtomicU64,
 }
 
 impl Thread {
-    /// Whether this place belongs to the thread `id`. A free place is given to that thread.
+    /// Whether this slot belongs to the thread `id`. If the slot is free, the thread gets it.
     fn is_of(&self, id: i32) -> bool {
         match self.id.compare_exchange(0, id, Ordering::Relaxed, Ordering::Relaxed) {
             Ok(_) => true,
@@ -74,7 +74,7 @@ unsafe impl GlobalAlloc for Counting {
     }
 }
 
-/// How many bytes the process has allocated at present.
+/// How many allocated bytes the process holds now.
 pub fn live() -> i64 {
     LIVE.load(Ordering::Relaxed)
 }

@@ -1,8 +1,8 @@
 //! A thread that waits briefly spins if it has a core to itself, and sleeps otherwise (D110). These tests run alone, because the
 //! runtime counts running tasks per process.
 //!
-//! No time is measured: a thread that may spin does so for longer than any test takes, and a thread that may not spin is
-//! answered only when it sleeps.
+//! No time is measured. A thread that may spin does so for longer than any test takes. A thread that may not spin
+//! gets its answer only when it sleeps.
 
 use crate::alone;
 use crate::common::{LONG, LONG_TICKS, ask, cell, finish, one_node, report, table};
@@ -51,7 +51,8 @@ enum Answer {
     Asleep,
 }
 
-/// How often the asking task slept in the last round trips. `cores` are the cores that the threads of the two tasks may use.
+/// How often the asking task slept in the last round trips. `cores` has the cores that the thread of each task may
+/// use.
 fn sleeps_of_asking(cores: [CpuSet; 2], spin: Duration, answer: Answer) -> u64 {
     let mut cell = cell(&[0, 0], Ticks(0));
     cell.port(ask(Ticks(10 * LONG_TICKS.0)));

@@ -1,5 +1,5 @@
-//! Other threads leave input for a task whose thread runs until that thread's next call (D130). The task gets the input
-//! in the same order, the messages' remaining time keeps running, and an observer sees them.
+//! While a task's thread runs, other threads leave input for it until its next call (D130). The task gets the inputs
+//! in order, the messages' remaining time keeps running, and an observer sees the messages.
 
 use crate::common::{A, B, LONG, LONG_TICKS, cell, finish, one_node, report, table};
 use imrs_protocol::{PortDecl, PortId, Reason, Target, Ticks, Usage};
@@ -21,7 +21,7 @@ fn two_ports() -> Arc<imrs_protocol::CellTable> {
     table(cell)
 }
 
-/// The task calls its communication task once and finds no message. From then on the node knows that this thread runs.
+/// A program that calls its communication task once. From then on the node knows that this thread runs.
 fn runs(ctx: &mut Context) -> Result<(), TaskError> {
     assert_eq!(ctx.poll(None)?, None);
     Ok(())
@@ -105,7 +105,7 @@ fn whoever_looks_sees_what_was_left() {
     finish(node);
 }
 
-/// The delay is far longer than any machine takes for this test. Stopping the node ends the delay.
+/// The delay is far longer than the test needs on any machine. The end of the node ends the delay.
 #[test]
 fn a_handler_interrupts_a_delay_that_is_spun_for() {
     let length = 10 * LONG;

@@ -14,7 +14,7 @@ const CALL: PortId = PortId(0);
 const NEWS: PortId = PortId(1);
 /// How long the second future waits for an answer that does not come.
 const PATIENCE: Duration = Duration::from_millis(100);
-/// More than an inbox has room for.
+/// More messages than an inbox has room for.
 const MANY: u8 = 200;
 
 /// Yields to the other futures of the thread until the flag is set.
@@ -29,8 +29,8 @@ async fn hears(flag: Arc<AtomicBool>) {
     .await;
 }
 
-/// One future asks, and another one of the same thread then computes until the test has seen the first one's time_out and
-/// all messages of a third task.
+/// One future asks a question. Then another future of the same thread computes until the test has seen the first
+/// future's time_out and all messages of a third task.
 #[test]
 fn while_a_future_computes_another_one_expires_is_observed_and_gets_messages() {
     let mut cell = cell(&[0, 0, 0], Ticks(0));

@@ -13,7 +13,7 @@ use std::task::{Context, Wake, Waker};
 
 const QUESTIONS: u64 = 100;
 
-/// A waker that is not the executor's; it calls the executor's waker.
+/// A waker of the test, which calls the executor's waker.
 struct Between {
     waker: Waker,
     calls: Arc<AtomicU32>,
@@ -26,7 +26,7 @@ impl Wake for Between {
     }
 }
 
-/// Polls `program` with a new waker each time, never with the executor's. Counts the calls of these wakers.
+/// Polls `program` with a new waker of the test each time. Counts the calls of these wakers.
 async fn between<T>(program: impl Future<Output = T>, calls: Arc<AtomicU32>) -> T {
     let mut program = pin!(program);
     poll_fn(move |poller| {

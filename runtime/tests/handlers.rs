@@ -280,7 +280,7 @@ fn a_panic_in_a_handler_is_the_tasks_crash_and_the_partners_of_its_wait_are_told
             let asked = ctx.query_with::<i32, i32>(ask, Target::All, &1, Some(AMPLE))?;
             assert!(asked.may_have_run());
             let meet = ctx.port("meet")?;
-            // This loop repeats until b has crashed and its arrival is taken back. Before that, b's arrival still counts.
+            // The loop repeats until the crash of b has cancelled b's arrival. Before that, b's arrival still counts.
             loop {
                 match ctx.waitfor_with(meet, [0; 8], Some(Duration::from_millis(20)))? {
                     Rendezvous::GaveUp { missing, .. } if missing & 1 == 1 => return Ok(()),
@@ -333,7 +333,7 @@ fn the_loss_of_the_lease_interrupts_an_atomic_section_and_what_is_ordered_then_i
         tell.send(()).expect("the test listens");
         let _epoch = ctx.lease()?;
         let sent = ctx.send(port, b"go");
-        // On a machine that stands still, the lease may be lost before the partner ends.
+        // If the machine did not run for a while, the lease may be lost before the partner ends.
         assert!(sent == Ok(Sent::Copies(1)) || sent == refused, "{sent:?}");
         tell.send(()).expect("the test listens");
         ctx.atomic(|ctx| {

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 const THREADS: [&str; 5] = ["idle-task", "imrs timer", "imrs receive", "imrs observer", "recording"];
 
-/// A time that is longer than the wait of a thread that still has something to do.
+/// A time after which every thread that still had something to do has done it.
 const SETTLED: Duration = Duration::from_millis(300);
 
 /// A thread of the node: its name, whether it sleeps, and how often it went to sleep.
@@ -32,8 +32,8 @@ fn sleeps() -> Vec<Sleeps> {
     counts
 }
 
-/// Waits until all threads sleep, and none has been woken from its last wait: a thread that was woken but does not run yet,
-/// because the machine is busy, does not count as asleep.
+/// Waits until all threads sleep and none has been woken from its last wait. A thread that was woken may not run yet,
+/// because the machine is busy; it does not count as asleep.
 fn settled() -> Vec<Sleeps> {
     let start = Instant::now();
     let mut before = sleeps();

@@ -345,7 +345,7 @@ fn recordings_of_others_are_refused() {
     assert!(matches!(replayed(digest, node, &[broken]), Err(ReplayError::Keyframe(_))));
 }
 
-/// A keyframe is refused if its state belongs to a table whose port has a larger buffer, because this machine can never have that state.
+/// The keyframe is of a machine whose port has a larger buffer, so the replayed machine can never have its state.
 #[test]
 fn a_state_of_a_machine_with_other_buffers_is_refused() {
     let with_room_for = |messages: u16| {
@@ -386,8 +386,8 @@ fn a_state_of_a_machine_with_other_buffers_is_refused() {
     assert_eq!(resumed(&narrow), Err(KeyframeError::OutOfBounds(B)));
 }
 
-/// The last record says that the task had more inputs or other outputs than the records before it, and there is no gap:
-/// so records were lost unnoticed.
+/// The last record says that the task had more inputs or other outputs than the earlier records show. There is no
+/// gap, so records were lost unnoticed.
 #[test]
 fn a_last_record_that_does_not_fit_is_told() {
     let here = NodeTable::new(table(cell(&[0], Ticks(0))), NodeId(0));

@@ -37,8 +37,8 @@ struct Watched {
 
 impl Watched {
     /// Waits until a leading thread sleeps in the link, because that thread then receives all later datagrams. On a
-    /// busy machine the task may once not lead, because its last wait ended otherwise. Then this round trip wakes the
-    /// receiving thread, and that wake-up counts.
+    /// busy machine the task may fail to lead once, because its last wait ended in another way. The round trip then
+    /// wakes the receiving thread, and the test counts that wake-up.
     fn is_led(&self) {
         let begin = Instant::now();
         let is_asleep = |thread: i32| {
@@ -107,8 +107,8 @@ fn asking() -> ([Builder; 2], [Arc<Watched>; 2]) {
     ([(0, &links[0]), (1, &links[1])].map(node), links)
 }
 
-/// The number of round trips in which each task sends while the other task waits in its link. The first of these trips
-/// bring both tasks there.
+/// How many round trips the test makes before it counts. In each, a task sends while the other task waits in its
+/// link. The first trips bring both tasks into this state.
 const WARM_UP: u64 = 5;
 const TRIPS: u64 = 20;
 
@@ -252,7 +252,7 @@ fn what_is_for_others_does_not_wait_for_a_task_that_computes() {
     assert!(busy.load(Ordering::Acquire));
 }
 
-/// Task `b` waits in the link, alternately for questions from its own node and for datagrams.
+/// Task `b` waits in the link. In turn, it gets a question from its own node and a datagram.
 fn a_leader_is_called_by_tasks_of_its_own_node() {
     let mut cell = cell(&[0, 0, 1], Ticks(1_000));
     cell.port(ask(LONG_TICKS));

@@ -63,7 +63,8 @@ fn news(source: TaskId, number: u8) -> Packet {
     }
 }
 
-/// A cell with `a` and `b` on nodes of their own, each with a link to `c`'s node, and no link between them.
+/// A cell with `a`, `b` and `c` on nodes of their own. Links join the nodes of `a` and `b` with that of `c`, but not
+/// with each other.
 fn star() -> Arc<CellTable> {
     let mut cell: Cell = cell(&[0, 1, 2], Ticks(1_000));
     cell.links.retain(|link| link.b == NodeId(2) || link.a == NodeId(2));
@@ -149,7 +150,7 @@ fn a_node_with_keys_is_not_believed_about_the_user_of_a_port_on_another_node() {
     });
     let node = node.start().unwrap();
     let job = |source, number| Packet { port: PortId(2), ..news(source, number) };
-    // All packets leave in one datagram. The arrival of the last packet shows that the forgeries before it were judged.
+    // All packets leave in one datagram. So when the last packet arrives, the forgeries before it have been judged.
     sends(&links[0], &[job(B, 1), job(A, 2), news(A, 3)]);
     assert_eq!(told.recv_timeout(LONG), Ok((A, 3)));
     sends(&links[1], &[job(B, 4)]);

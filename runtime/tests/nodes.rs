@@ -39,7 +39,7 @@ fn send_receive_reply_over_udp() {
     finish(second);
 }
 
-/// The incarnation that got the command ended before its sender received anything from it. The next incarnation says
+/// The receiver of a command ends before the sender receives anything from it. The receiver's next incarnation says
 /// with its first datagram that it was restarted.
 #[test]
 fn a_restart_before_the_first_contact_is_told_to_the_sender_over_udp() {

@@ -56,8 +56,8 @@ fn a_monitor_sees_tasks_queues_and_events() {
     drop(runtime);
 }
 
-/// Monitors share what is read of the node. Each of them still gets every event once, whenever it subscribed, and however
-/// late it reads.
+/// Monitors share what the observer reads from the node. Still, each monitor gets every event exactly once, whenever
+/// it subscribed, and however late it reads.
 #[test]
 fn each_of_many_monitors_gets_every_event_once() {
     const MESSAGES: u8 = 200;
@@ -66,21 +66,22 @@ fn each_of_many_monitors_gets_every_event_once() {
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
     let mut monitors: Vec<_> = (0..4).map(|_| Monitor::unix(socket(&observer)).attach(NEW)).collect();
     for (number, monitor) in monitors.iter_mut().enumerate() {
-        // The last one follows the events of one task alone.
+        // The last monitor follows the events of one task alone.
         let tasks = if number == 3 { vec![A] } else { Vec::new() };
         let events = Some(EventFilter { kinds: Kinds::ALL, tasks });
-        // The third one gets another state than the others.
+        // The third monitor subscribes to more waiting messages than the others, so it gets other frames.
         let queue_limit = if number == 2 { 3 } else { 0 };
         monitor.say(&ClientFrame::Want(Want { events, queue_limit, ..want() }));
         assert!(matches!(monitor.next(), ServerFrame::Delta(_)), "the state comes at once");
     }
-    // A frame about the state is made only after its monitor was subscribed, and so after its events are followed.
+    // A monitor gets its first state only after its subscription, and its events are followed from the subscription
+    // on.
     let mut sent = vec![Vec::new(); monitors.len()];
     let mut states = vec![0_u32; monitors.len()];
     for message in 0..MESSAGES {
         tell.send(message).unwrap();
         std::thread::sleep(Duration::from_micros(700));
-        // The second monitor does not read until all is over.
+        // The second monitor does not read until all messages are sent.
         if message % 9 == 0 {
             for number in [0, 2, 3] {
                 hear(&mut monitors[number], &mut sent[number], &mut states[number]);
@@ -105,7 +106,7 @@ fn each_of_many_monitors_gets_every_event_once() {
     drop(runtime);
 }
 
-/// Reads one frame: the messages that task `a` sent, and whether it was a state.
+/// Reads one frame of the monitor. Adds the messages that task `a` sent to `sent`, or counts a state in `states`.
 fn hear(monitor: &mut Monitor, sent: &mut Vec<TimedEvent>, states: &mut u32) {
     match monitor.next() {
         ServerFrame::Delta(_) => *states += 1,
@@ -156,7 +157,7 @@ fn idle_monitors_make_room() {
     let (runtime, tell) = node();
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
     let mut idle: Vec<_> = (0..MAX_MONITORS).map(|_| Monitor::unix(socket(&observer)).attach(NEW)).collect();
-    // The one monitor that goes on wanting frames stays connected.
+    // Only this monitor still wants frames, so it stays connected.
     idle[0].subscribe(false, u16::MAX);
     let start = Instant::now();
     let mut new = loop {
@@ -174,8 +175,8 @@ fn idle_monitors_make_room() {
     drop(runtime);
 }
 
-/// A client that has not proven its right to look takes no place from clients with that right, however many such
-/// clients there are.
+/// A client that has not proven its right to look takes no place from clients with that right, even if there are many
+/// such clients.
 #[test]
 fn strangers_lock_nobody_out() {
     let (runtime, tell) = node();

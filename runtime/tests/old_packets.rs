@@ -86,7 +86,7 @@ impl<L: Link> Link for Stopping<L> {
     }
 }
 
-/// If a task waits in the link, this stops that task where it would otherwise stop the receiving thread.
+/// If a task's thread waits in the link, the stop happens in that thread, not in the receiving thread.
 impl<L: Link> Leading for Stopping<L> {
     fn wait(&self, left: Option<Duration>) -> Came {
         self.pass();
@@ -198,7 +198,7 @@ fn in_process(table: &Arc<CellTable>) -> [imrs_runtime::link::in_process::InProc
     [0, 1].map(|node| network.join(NodeId(node), Incarnation(1), false))
 }
 
-/// Tests both kinds of link at the same time, because the test mostly waits.
+/// Tests both kinds of link at once, because the test spends most of its time waiting.
 fn over_both_links(stop: Where) {
     let table = two_nodes();
     thread::scope(|s| {

@@ -5,7 +5,7 @@ use crate::futures::Told;
 use imrs_protocol::{Cell, Ticks};
 use std::sync::{Arc, Mutex};
 
-/// The marks of seventy futures take two words. Each future is woken by the one after it.
+/// The marks of seventy futures take two words. Each future except the last is woken by the next one.
 #[test]
 fn each_of_seventy_futures_is_polled_when_it_is_told() {
     const COUNT: usize = 70;

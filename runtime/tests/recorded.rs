@@ -1,5 +1,5 @@
-//! Recorded tasks of a node take fused steps, and a replay takes the small steps for which those stand: both must have equal outputs and
-//! equal states, in random cells (D207).
+//! Recorded tasks take fused steps, and a replay takes the small steps that these replace. Both must have equal
+//! outputs and equal states, in random cells (D207).
 
 use crate::common::{LONG, cell, one_node, table};
 use imrs_protocol::script::{Binary, End, Op, Program, ProgramBuilder, Slot, Trigger, Type};
@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-/// The most random cells that a test runs. It ends earlier, when each kind of step was compared often enough.
+/// The most random cells that a test runs. The test ends earlier if each kind of step was compared often enough.
 const CELLS: u64 = 1_000;
 const ROUNDS: u16 = 40;
 const NAMES: [&str; 4] = ["a", "b", "c", "d"];
@@ -22,7 +22,7 @@ const STATES: u8 = 16;
 /// How often each kind of fused step must have been recorded.
 const LEAST: usize = 1_000;
 
-/// What a log takes.
+/// An entry of a task's log.
 enum Entry {
     /// A step, and whether it was part of a fused step.
     Step(Recorded, bool),
@@ -30,7 +30,7 @@ enum Entry {
     Keyframe(Vec<u8>, OutputDigest),
 }
 
-/// A recorder that keeps everything, and wants the state of a task now and then.
+/// A recorder that keeps everything, and at times wants the state of a task.
 struct Tape {
     seed: u64,
     of: Mutex<BTreeMap<TaskId, Vec<Entry>>>,
@@ -45,7 +45,7 @@ struct TapeOf {
 impl Recorder for Tape {
     fn log(self: Arc<Self>, task: TaskId) -> Option<Box<dyn Log>> {
         let mut draws = fastrand::Rng::with_seed(self.seed ^ u64::from(task.0));
-        // Some tasks are not recorded and take fused steps with recorded ones.
+        // Some tasks are not recorded, so that fused steps of recorded and other tasks occur.
         if draws.u8(..16) == 0 {
             return None;
         }
@@ -82,7 +82,7 @@ impl Log for TapeOf {
     }
 }
 
-/// What a task does again and again.
+/// An act that a task repeats.
 #[derive(Clone, Copy, Debug)]
 enum Act {
     Send {
@@ -107,11 +107,11 @@ enum Act {
     Delay(Ticks),
 }
 
-/// A random cell of one node, and what its tasks do.
+/// A random cell of one node, and the acts of its tasks.
 struct Plan {
     table: Arc<CellTable>,
     acts: Vec<Vec<Act>>,
-    /// For each task a port whose messages a handler of its script answers.
+    /// For each task, the port whose messages a handler of its script answers; `None` without a handler.
     handled: Vec<Option<PortId>>,
 }
 
@@ -159,7 +159,7 @@ impl Plan {
     }
 }
 
-/// Whether messages of a port come to a task, or go out.
+/// Whether a port brings messages to a task, or takes messages from it.
 #[derive(Clone, Copy, PartialEq)]
 enum Way {
     In,
@@ -270,7 +270,7 @@ async fn program(mut ctx: AsyncContext, acts: Vec<Act>) -> Result<(), TaskError>
     Ok(())
 }
 
-/// Runs a node, and replays what each of its tasks has recorded in small steps. Counts the recorded parts of fused steps by their kind.
+/// Runs a node, and replays the recording of each task in small steps. Counts the parts of fused steps by their kind.
 fn compare(
     plan: &Plan,
     seed: u64,

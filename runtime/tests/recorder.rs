@@ -296,7 +296,7 @@ fn a_task_has_one_log_and_that_of_another_node_none() {
 
 const TICK: Step = Step { elapsed: Ticks(1), input: Input::Time };
 
-/// Records the same step until a step is lost. Returns how many steps were recorded.
+/// Records one step again and again until a step is lost. Returns how many were recorded.
 fn fill(recorder: &FileRecorder, log: &mut dyn Log) -> u64 {
     let before = recorder.status().expect("it runs").lost;
     (0..)

@@ -46,7 +46,7 @@ fn a_recorded_run_of_three_nodes_replays_bit_equal_and_a_change_is_noticed() {
         shorter.remove(position);
         assert!(again(shorter).is_err(), "an input that is missing");
 
-        // A hundred seconds are added at one step. A task that waited at that step would have given up.
+        // The test adds a hundred seconds to one step. A task that waited at that step would have given up by then.
         let waits = (0..log.len() - 1).filter(|&at| arrives(&log[at]));
         let mut noticed = waits.filter(|&at| {
             let mut later = log.clone();

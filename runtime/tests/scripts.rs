@@ -119,7 +119,8 @@ fn a_script_and_a_rust_task_share_a_node() {
 fn two_scripts_of_a_node_that_answer_each_other_for_ever_in_no_time_are_stopped() {
     let mut cell = cell(&[0, 0], Ticks(2_000));
     cell.port(ask(LONG_TICKS));
-    // There are more questions than steps that two scripts may take before the next input from outside.
+    // There are more questions than the steps that two scripts may take before the next input from outside of the
+    // node.
     let node = one_node(&table(cell)).script("a", asker(30_000)).script("b", answerer()).start().unwrap();
     let deadline = Instant::now() + LONG;
     let alive = |node: &Runtime| {
@@ -325,7 +326,7 @@ fn a_command_that_is_cut_short_is_killed() {
     std::fs::remove_file(&dir).expect("the mark");
     assert!(std::path::Path::new(&format!("/proc/{pid}")).exists());
     assert_eq!(end_of(node, "a"), TaskEnd::Returned);
-    // A node that stops waits only for a limited time until a command has ended.
+    // A stopping node waits for the end of a command only for a limited time, so the test waits longer.
     let deadline = Instant::now() + LONG;
     while std::path::Path::new(&format!("/proc/{pid}")).exists() {
         assert!(Instant::now() < deadline, "the command runs on");

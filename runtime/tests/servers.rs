@@ -86,8 +86,8 @@ fn one_call_does_what_two_do() {
     assert_eq!(counted(|node| node.task("b", on_a_thread)), expected);
 }
 
-/// A task that gives up a question, says so, and asks again. It has asked before, so its earlier deadline is still
-/// published to the Timer thread.
+/// A task whose second question times out. It reports that on the port `gone`, and asks again. Its first question was
+/// answered, but the deadline of that question is still published to the Timer thread.
 async fn impatient(mut ctx: AsyncContext) -> Result<(), TaskError> {
     let (ask, gone) = (ctx.port("ask")?, ctx.port("gone")?);
     assert_eq!(ctx.send(ask, b"0").await?.reply().expect("an answer").as_bytes(), b"zero");

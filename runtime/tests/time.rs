@@ -27,7 +27,8 @@ fn delays_and_empty_waits_never_end_early() {
     }
 }
 
-/// Lengths of delays: some about as long as the Timer thread spins (its spin tail), and longer ones.
+/// Lengths of delays: some about as long as the spin tail (the time for which the Timer thread spins), and longer
+/// ones.
 fn lengths(step: usize) -> impl Iterator<Item = Duration> {
     (0..16).chain((16..2_000).step_by(step)).map(|micros| Duration::from_nanos(micros * 1_001))
 }

@@ -1,6 +1,6 @@
-//! Tests of how a node keeps time: every sleeping thread asks for exact sleeps, a time_out that is answered wakes no thread,
-//! and a node that stood still discards what has expired. These tests run alone: threads are found by name, and the whole
-//! process is stopped.
+//! Tests of how a node keeps time: every thread asks for exact sleeps, an answered time_out wakes no thread, and a
+//! node that was stopped discards what has expired. These tests run alone, because they find threads by name and stop
+//! the whole process.
 
 use crate::alone;
 use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, report, table};
@@ -13,14 +13,15 @@ use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
-/// How long the process stands still.
+/// How long the test stops the whole process.
 const STOP: Duration = Duration::from_millis(500);
-/// A TTL that ends while the process stands still.
+/// A TTL that ends while the process is stopped.
 const SHORT: Ticks = Ticks(200_000);
 const COMMANDS: u32 = 1_000;
 const NEWS: u16 = 8;
 
-/// For each thread that called this value: how late the kernel may end the thread's sleeps, in nanoseconds.
+/// For each thread that called this recorder or link: how late the kernel may end the thread's sleeps, in
+/// nanoseconds.
 #[derive(Default)]
 struct Slacks {
     of: Mutex<Vec<(String, u64)>>,
@@ -130,7 +131,7 @@ fn b(ctx: &mut Context, gate: &Receiver<()>) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// The program of `c`: it makes delays, and the process stands still during one of them. Each delay takes its full
+/// The program of `c`: it makes delays, and the process is stopped during one of them. Each delay takes its full
 /// time: the one that the stop interrupts, and those after it.
 fn c(ctx: &mut Context) -> Result<(), TaskError> {
     const LENGTH: Duration = Duration::from_millis(20);

@@ -1,5 +1,6 @@
-//! A script takes the signal of a fused step before any other input of its task, also if a turn ends or another thread brings input
-//! before the script goes on: its recording could not be replayed otherwise (D207).
+//! A script takes the signal of a fused step before any other input of its task. This holds even if a turn (hold of
+//! the lock) ends, or another thread brings input, before the script goes on. Otherwise a recording could not be
+//! replayed (D207).
 
 use crate::common::kept::Kept;
 use crate::common::{LONG, LONG_TICKS, one_node, table};
@@ -10,7 +11,7 @@ use imrs_runtime::record::{About, FileRecorder, RecordingReader, Verdict, replay
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// More scripts than take their signals in one turn.
+/// How many scripts receive: more than can take their signals in one turn.
 const RECEIVERS: u16 = 60;
 const ROUNDS: i64 = 100;
 const MESSAGES: u16 = 20_000;
@@ -36,7 +37,7 @@ fn sender() -> Arc<Program> {
     Arc::new(b.finish().expect("a sound program"))
 }
 
-/// A script that receives messages until none comes any more.
+/// A script that receives messages until none has come for some time.
 fn receiver(name: &str) -> Arc<Program> {
     let mut b = ProgramBuilder::new(name);
     let (top, over) = (b.label(), b.label());
@@ -93,7 +94,7 @@ fn a_script_takes_its_signal_before_what_another_thread_brings() {
     let replays =
         replay_scripts(&mut reader, &of_node, |task| programs.get(&task), None).expect("a sound one");
     for replay in &replays {
-        // A task whose lane was full is judged as far as it was recorded.
+        // If the lane of a task was full, its recording has a gap, and is judged only as far as it goes.
         let verdict = replay.verdict();
         assert!(
             verdict == Verdict::Same || (replay.lost() > 0 && verdict == Verdict::Unknown),

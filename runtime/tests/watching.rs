@@ -127,8 +127,8 @@ fn a_restarted_node_tells_for_how_long_its_scripts_are_held_back() {
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
     let mut monitor = Monitor::unix(socket(&observer)).attach(NEW);
     monitor.say(&ClientFrame::Want(want()));
-    // The frame about held-back scripts is sent before the first state, for a monitor that looks only once. Then it is
-    // sent again, for a monitor that begins to record.
+    // The frame about scripts that do not begin yet is sent before the first state, for a monitor that looks only once.
+    // Then it is sent again, for a monitor that begins to record.
     let ServerFrame::HeldBack(first) = monitor.next() else { panic!("what is held back comes first") };
     assert_eq!(first.tasks.iter().map(|held| held.task).collect::<Vec<_>>(), [A]);
     let mut state = Snapshot::default();
@@ -200,7 +200,7 @@ fn the_process_and_its_clock_are_told() {
     assert!(lateness.p50_us <= lateness.p99_us && lateness.p99_us <= lateness.max_us, "{lateness:?}");
 }
 
-/// The node has so many tasks that the next state must be sent before the previous one has left, as on a very busy
+/// The node has so many tasks that the next state is due before the previous one has been sent, as on a very busy
 /// machine.
 #[test]
 fn a_state_that_takes_longer_than_its_period_leaves_the_rest_its_turn() {

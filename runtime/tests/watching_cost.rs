@@ -20,7 +20,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// A socket that belongs to this test, and that is removed when this is dropped.
+/// A socket of this test; the drop removes it.
 struct Socket(PathBuf);
 
 impl Socket {
@@ -149,7 +149,7 @@ fn hostile_monitors_cost_a_bounded_amount_of_memory() {
     stop(runtime);
 }
 
-/// M5: the data for a monitor are written under the lock that the machine holds anyway, into allocated memory.
+/// M5: the lock's holder writes the data for a monitor into memory that is allocated already.
 #[test]
 fn a_watched_message_allocates_nothing() {
     let _alone = alone();
@@ -179,13 +179,13 @@ fn a_watched_message_allocates_nothing() {
 
 /// How many ports each of the two tasks of a large node has.
 const PORTS: usize = 5_000;
-/// One of this many ports has traffic in each period: 5 %.
+/// Of this many ports, one has traffic in each period: 5 % of the ports.
 const APART: usize = 20;
 /// The period of the updates of a large node.
 const PERIOD: Duration = Duration::from_millis(100);
 
-/// A node whose task `a` sends one message through each of the next [`PORTS`] / [`APART`] ports whenever the test says
-/// so, and whose task `b` takes them.
+/// A large node. Whenever the test orders it, task `a` sends one message through each of the next [`PORTS`] /
+/// [`APART`] ports. Task `b` takes these messages.
 fn large_node() -> (Runtime, Sender<()>) {
     let mut cell = cell(&[0, 0], Ticks(0));
     for port in 0..PORTS {
@@ -222,8 +222,8 @@ impl Read for Counted {
     }
 }
 
-/// M6: what a real node with 10,000 ports sends through its socket: its whole state, nothing new, and 5 % of its ports
-/// changed ten times a second. `IMRS_UPDATES` is the number of updates of each kind.
+/// M6: the updates that a real node with 10,000 ports sends: its whole state, updates without changes, and updates in
+/// which 5 % of the ports changed, ten times a second. `IMRS_UPDATES` is the number of updates of each kind.
 #[test]
 fn a_large_node_sends_short_updates() {
     let _alone = alone();

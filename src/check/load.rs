@@ -19,11 +19,11 @@ pub struct Shown {
 struct Link {
     a: String,
     b: String,
-    /// At most so many by declared rates.
+    /// The greatest traffic by the declared rates, in packets a second.
     declared: f64,
-    /// So many more, estimated from time_outs.
+    /// Further traffic, estimated from time_outs, in packets a second.
     estimated: f64,
-    /// So many the link carries.
+    /// How many packets a second the link carries.
     capacity: f64,
     is_congested: bool,
 }
@@ -34,7 +34,7 @@ struct Move {
     task: String,
     from: String,
     to: String,
-    /// So many packets a second fewer on all links together.
+    /// How many packets a second fewer all links together would carry.
     saves: f64,
 }
 

@@ -336,8 +336,9 @@ fn judge(loaded: &Loaded, recorded: &Recorded) -> Settlement {
     judge.settlement(recorded.start)
 }
 
-/// Ends the recorded run before any node receives a packet by which a stopping node withdraws its tasks from their
-/// waits, and before a task learns that the node whose answer it may wait for has stopped, because the model has neither.
+/// Ends the recorded run before two events that the model does not have. One is the arrival of a packet by which a
+/// stopping node withdraws its tasks from their waits. The other is that a task learns that the node has stopped
+/// whose answer it may wait for.
 fn end_where_nodes_stop(tasks: &mut [Vec<Happening>]) {
     let mut taken_back = Vec::new();
     for task in tasks.iter() {

@@ -29,7 +29,7 @@ pub struct Moment {
     pub task: &'static str,
     /// The name of the task's action, as the cell writes it after `run`.
     pub action: &'static str,
-    /// The fault is injected at this beginning of the action, counted from 1.
+    /// At which beginning of the action the fault is injected: 1 is the first.
     pub time: usize,
     /// The fault that is injected.
     pub fault: Planned,

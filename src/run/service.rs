@@ -1,5 +1,5 @@
-//! Tells the service manager that started this program how the run stands, by the protocol of `sd_notify(3)`. Without such a
-//! manager it does nothing.
+//! Reports the state of a run to the service manager that started this program, by the protocol of `sd_notify(3)`.
+//! Without such a manager nothing is sent.
 
 use crate::output::{complain, count};
 use imrs_launch::{Launcher, Run};

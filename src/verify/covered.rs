@@ -32,7 +32,8 @@ pub(super) fn show(
 fn looked_at(phase: &Coverage) -> String {
     let whole = match (&phase.ended_by, phase.pruned) {
         (Some(by), _) => {
-            // A search by zones does not look at the shortest paths first.
+            // A search by zones does not explore states in the order of their depth, so it has no depth up to which
+            // it is complete.
             let is_by_zones = phase.times == Times::Zones;
             let whole = (!is_by_zones).then(|| {
                 format!("every order of events was looked at up to its choice {}", grouped(phase.whole_depth))

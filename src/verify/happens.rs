@@ -1,10 +1,10 @@
-//! For which times of its actions and packets a finding happens.
+//! Computes the action and packet times with which a finding happens.
 
 use super::subject::Subject;
 use imrs_model::cell::{Finding, TimeRange, Timed};
 use serde::Serialize;
 
-/// At most this many ranges are shown.
+/// The greatest number of ranges that are shown.
 const FEW: usize = 6;
 
 /// The times that an action or a packet takes when a finding happens, as JSON.
@@ -72,7 +72,7 @@ impl Subject {
             .collect();
         let more = narrowed.len().saturating_sub(FEW);
         let last = if more > 0 { format!(" and {more} more") } else { String::new() };
-        // With several uncertain times the ends of one range may need certain times of the others.
+        // With several ranges, a time in one range may lead to the finding only with certain times of the others.
         let can = if finding.ranges.len() == 1 { "happens if" } else { "can happen if" };
         let few: Vec<String> = narrowed.into_iter().take(FEW).collect();
         (!few.is_empty()).then(|| format!("{can} {}{last}", few.join(", ")))

@@ -367,8 +367,8 @@ impl VirtualCell {
         scripts.map(|hosted| hosted.host.script.activity()).collect()
     }
 
-    /// Three numbers: of the scripts' requests other than boundaries, of their statements, and of commands that they never
-    /// answered.
+    /// Three counts: the scripts' requests except boundaries, the scripts' statements, and the commands that scripts
+    /// never answered.
     #[must_use]
     pub const fn counts(&self) -> (usize, usize, usize) {
         (self.out.requests, self.out.statements, self.out.unanswered)

@@ -12,7 +12,7 @@ proptest! {
         check(&bytes);
     }
 
-    /// Valid streams of frames with some bytes changed.
+    /// Checks valid streams of frames in which some bytes were changed.
     #[test]
     fn damaged_streams_are_borne(which in any::<usize>(), damage in proptest::collection::vec((any::<usize>(), any::<u8>()), 0..6)) {
         let seeds = seeds();

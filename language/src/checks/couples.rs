@@ -29,7 +29,8 @@ fn joins(port: &Port, a: TaskId, b: TaskId) -> bool {
     port.usage_of(a).is_some() && port.peers(a).any(|peer| peer == b)
 }
 
-/// The tasks of `among` that ports for which `like` is true join to `from`, directly or through other tasks.
+/// The tasks of `among` that are connected to `from` by ports for which `like` is true, directly or through other
+/// tasks.
 fn reached(hir: &Hir, from: TaskId, among: &[TaskId], like: impl Fn(&Port) -> bool) -> Vec<TaskId> {
     let mut known = vec![from];
     let mut at = 0;

@@ -1,4 +1,4 @@
-//! Checks `waitfor` (§4.3): every member comes to each meeting, all in one order, and each member can give up.
+//! Checks `waitfor` (§4.3): every member reaches each `waitfor`, all members in one order, and each member can give up.
 
 use super::{is_draft, ring, task, tasks};
 use crate::ast::BranchKind;
@@ -97,7 +97,7 @@ fn can_give_up(hir: &Hir, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// Reports members that come to two meetings in different orders: these members would wait for each other.
+/// Reports members that reach two `waitfor`s in different orders: these members would wait for each other.
 fn in_one_order(hir: &Hir, found: &mut Vec<Diagnostic>) {
     let mut orders: Vec<Order> = Vec::new();
     for (id, task) in tasks(hir).filter(|(_, task)| !is_draft(task)) {
@@ -117,7 +117,7 @@ fn in_one_order(hir: &Hir, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// One meeting and a later one (by port), the task that comes to them in this order, and where it waits for the later one.
+/// Two `waitfor`s (by port) in the order in which a task reaches them, that task, and the span of its later wait.
 type Order = ((usize, usize), TaskId, Span);
 
 fn crossed(hir: &Hir, orders: &[Order], ring: &[usize], found: &mut Vec<Diagnostic>) {

@@ -134,8 +134,9 @@ fn has_room(hir: &Hir, port: &Port, found: &mut Vec<Diagnostic>) {
     );
 }
 
-/// Reports work during which a class-2 message may expire. A `receive` takes the message only after the work that precedes
-/// the `receive`. A handler is offered the message again until it interrupts (D58), but `atomic` prevents that.
+/// Reports a `run` or `delay` during which a class-2 message may expire. A `receive` takes the message only after that
+/// work. A message for a handler is offered again until the handler interrupts the work (D58), but `atomic` prevents
+/// that.
 fn has_time(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
     if port.class != Class::Command {
         return;

@@ -18,9 +18,9 @@ pub struct Couple {
 pub enum CoupleKind {
     /// Tasks that share something, which another task administers for them.
     Loose {
-        /// The tasks that share the tool.
+        /// The tasks that share something, such as a tool.
         tasks: Vec<TaskId>,
-        /// The administrator of the shared tool.
+        /// The task that administers what the other tasks share.
         over: TaskId,
     },
     /// Tasks that act together.
@@ -55,7 +55,7 @@ pub struct Link {
     pub b: NodeId,
     /// The longest delay of a packet that is not lost (D20).
     pub delay: Duration,
-    /// How many packets the link carries in a time, if the cell says so.
+    /// The most packets that the link carries in each period of this length, if the cell declares it.
     pub capacity: Option<(u16, Duration)>,
     /// The link's span.
     pub span: Span,
@@ -87,7 +87,7 @@ pub struct Faults {
 pub struct Pause {
     /// The paused node.
     pub node: NodeId,
-    /// The pause's longest duration. Without one the pause lasts until every time_out and take-over that began before it
+    /// The pause's longest duration. `None`: the pause lasts until every time_out and take-over that began before it
     /// has passed.
     pub most: Option<Duration>,
 }

@@ -100,8 +100,8 @@ impl Mapping<'_> {
                 format!("must exceed {needs}: the margin for lost packets, and the link delays"),
             )
         } else {
-            // This error can come only in ticks of the model. In microseconds the static checks have already reported the
-            // fault, with more detail.
+            // This error occurs only with durations in ticks. In microseconds the static checks have already reported
+            // the fault, with more detail.
             (
                 format!("deadline cannot be met: `{name}` takes {needs}, its time_out is {has}"),
                 format!("must exceed {needs}: the links on its route, in ticks"),
@@ -248,7 +248,7 @@ impl Mapping<'_> {
     }
 }
 
-/// The longer of two times: the least time of the table and a tick, or the least time that all checks accept.
+/// The longer of two times: the table's least time plus a tick, and the least time that all checks accept.
 fn needs_more(least: u64, enough: u64, hir: &Hir) -> u64 {
     let tick = hir.tick.map_or(1, |tick| tick.usec.max(1));
     enough.max(least.saturating_add(tick))

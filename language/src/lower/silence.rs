@@ -93,8 +93,8 @@ pub(super) fn keep(silences: &mut [Silence], emit: &mut Emitter) {
     }
 }
 
-/// Emits `write`, which stores into these variables. Then emits the start or stop of each silence timer whose condition reads
-/// one of them.
+/// Emits the operations of `write`, which store into these variables. Then emits the start or stop of each silence
+/// timer whose condition reads one of them.
 pub(super) fn store(
     silences: &[Silence],
     emit: &mut Emitter,

@@ -161,7 +161,7 @@ impl<'h> Writer<'h, '_> {
         self.loops.pop();
     }
 
-    /// Emits an `order`. The silence of a port ranks just behind the port (D86).
+    /// Emits an `order`. The timer of an `on silence` handler ranks just behind the handler's port (D86).
     fn order(&mut self, named: &[Ranked]) {
         let mut ranked = Vec::new();
         for &level in named {
@@ -346,8 +346,8 @@ impl<'h> Writer<'h, '_> {
         values.iter().for_each(|value| self.emit.ops(&value.ops));
     }
 
-    /// Emits `write`, which stores into these variables. Then emits the start or stop of each silence timer whose condition
-    /// reads one of them.
+    /// Emits the operations of `write`, which store into these variables. Then emits the start or stop of each silence
+    /// timer whose condition reads one of them.
     fn store(&mut self, into: &[Destination], write: impl FnOnce(&mut Self)) {
         let slots: Vec<Slot> = into.iter().map(|to| to.slot).collect();
         let silences = std::mem::take(&mut self.silences);

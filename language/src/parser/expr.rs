@@ -11,8 +11,8 @@ use crate::words::Word;
 use chumsky::prelude::*;
 use imrs_protocol::script::Binary;
 
-/// A parser for a part of the grammar. Parts that stand in many others are boxed: the types of the others would contain theirs, and take
-/// longer to compile.
+/// A parser for a part of the grammar. A part that many others use is boxed: otherwise their types would contain its
+/// type, and would take longer to compile.
 pub(super) trait Part<'t, O>: Parser<'t, Tokens<'t>, O, Extra> + Clone + 't {}
 impl<'t, O, P: Parser<'t, Tokens<'t>, O, Extra> + Clone + 't> Part<'t, O> for P {}
 

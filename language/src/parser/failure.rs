@@ -32,17 +32,17 @@ pub(super) enum Failure {
     Said(Box<Diagnostic>),
 }
 
-/// A label of the grammar that diagnostics treat specially.
+/// The label under which the grammar expects a name. Diagnostics treat it specially.
 pub(super) const NAME: &str = "a name";
-/// A label of the grammar that diagnostics treat specially.
+/// The label under which the grammar expects a type. Diagnostics treat it specially.
 pub(super) const TYPE: &str = "a type";
-/// A label of the grammar that diagnostics treat specially.
+/// The label under which the grammar expects an expression. Diagnostics treat it specially.
 pub(super) const EXPRESSION: &str = "an expression";
-/// A label of the grammar that diagnostics treat specially.
+/// The label under which the grammar expects an option. Diagnostics treat it specially.
 pub(super) const OPTION: &str = "an option";
-/// A label of the grammar that diagnostics treat specially.
+/// The label under which the grammar expects a usage. Diagnostics treat it specially.
 pub(super) const USAGE: &str = "a usage (`send`, `receive`, `reply`, `query`, `response`, `waitfor`)";
-/// A label of the grammar that diagnostics treat specially.
+/// The label under which the grammar expects a fault. Diagnostics treat it specially.
 pub(super) const FAULT: &str = "a fault (`loss`, `dup`, `fail`, `drift`, `crash`, `pause`, `cut`)";
 
 impl<'t> Error<'t, Tokens<'t>> for Failure {
@@ -170,7 +170,7 @@ pub(super) fn unexpected(expected: &[Expected], found: &Found<'_>, end: &str) ->
     diagnostic.label(format!("expected {wanted}")).help(help)
 }
 
-/// The diagnostic for a line of another language behind the head of a task, or for its kind of type behind `is`.
+/// The diagnostic for a line of another language in the head of a task, or for a type of another language after `is`.
 fn foreign_line(expected: &[Expected], found: &Found<'_>, end: &str) -> Option<Diagnostic> {
     let wants_record = expected.contains(&Expected::Token(Kind::Word(Word::Record)));
     let (wanted, help) = match found.kind {

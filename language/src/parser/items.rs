@@ -11,7 +11,7 @@ use crate::lexer::Kind;
 use crate::span::Span;
 use crate::words::Word;
 
-/// In this many tokens of a task's head the parser searches for its `begin`.
+/// How many tokens of a task's head the parser searches for the `begin`.
 const LONGEST_HEAD: usize = 2000;
 
 impl Driver<'_> {

@@ -126,8 +126,8 @@ impl<'a> Thread<'_, 'a> {
         Some((low_value, high_value))
     }
 
-    /// All uses of an action in a task must have one shape, because the same driver, command or simulation carries out all
-    /// of them.
+    /// All uses of an action in a task must have one shape (types of arguments and result), because the same driver,
+    /// command or simulation carries out all of them.
     pub fn shape(&mut self, action: &Name, arguments: &[Expr], into: Option<Destination>) -> Option<()> {
         let shape = Shape {
             arguments: arguments.iter().map(|argument| kind(argument.of)).collect(),

@@ -9,7 +9,7 @@ use crate::span::Span;
 use imrs_protocol::NodeId;
 use imrs_protocol::cell::MAX_NODES;
 
-/// The greatest number of nodes, tasks, ports or the like: 16-bit numbers count them.
+/// The greatest number of declarations of one kind (nodes, tasks, ports and others): their ids have 16 bits.
 pub(super) const MOST: usize = u16::MAX as usize;
 
 impl<'a> Resolver<'a> {

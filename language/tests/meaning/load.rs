@@ -19,12 +19,12 @@ fn row(camera: &str, link: &str) -> String {
 
 #[test]
 fn rates_and_time_outs_add_up_on_the_links_of_the_route() {
-    // 16 bytes are two packets.
+    // A message of 16 bytes takes two packets.
     let links = load::of_links(&whole(&row(" rate = 50/1 sec", "")).hir.expect("a cell"));
     let sums: Vec<_> = links.iter().map(|link| (link.declared, link.estimated)).collect();
     assert_eq!(sums, [(100.0, 0.0); 2], "on both links of the route, and nothing within a node");
     assert!(links.iter().all(|link| !link.is_congested() && link.capacity > 90_000.0));
-    // Without a rate: one message for each time_out of 100 ms.
+    // Without a rate, the estimate is one message in each time_out of 100 ms.
     let links = load::of_links(&whole(&row("", "")).hir.expect("a cell"));
     assert_eq!((links[1].declared, links[1].estimated), (0.0, 20.0));
 }
@@ -33,14 +33,15 @@ fn rates_and_time_outs_add_up_on_the_links_of_the_route() {
 fn a_task_without_actions_is_advised_to_run_where_the_links_carry_less() {
     let hir = whole(&row(" rate = 50/1 sec", "")).hir.expect("a cell");
     let moves = load::moves(&hir);
-    // The plans are 5 a second with an answer each: 10 packets over two links, in place of 100.
+    // If the planner moves, its 5 commands per second and their answers take 10 packets per second over two links. The
+    // poses, which took 100 there, stay within a node.
     let [only] = moves[..] else { panic!("{moves:?}") };
     assert_eq!(
         (hir.tasks[only.task.index()].name.as_str(), hir.nodes[only.to.index()].name.as_str()),
         ("planner", "n1")
     );
     assert!((only.saves - 180.0).abs() < 1e-6, "{only:?}");
-    // Where the plans are the greater part, the planner stays.
+    // If most of the traffic is between planner and arm, the planner stays on its node.
     let stays =
         row("", "").replace("time_out = 200 msec class = 2", "rate = 40/1 sec time_out = 200 msec class = 2");
     assert!(load::moves(&whole(&stays).hir.expect("a cell")).is_empty());

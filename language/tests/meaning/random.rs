@@ -9,7 +9,7 @@ fn all(text: &str) {
     let source = source(text);
     let _ = compile(&source);
     let _ = compile_with(&source, Options { paper: true });
-    // Texts with syntax errors are tried, too: the parts that could be parsed must do no harm.
+    // Texts with syntax errors are tried, too: the parts that could be parsed must not make the compiler panic.
     let resolved = resolve(&parse(&source).file, source.text());
     for unit in [Unit::Microseconds, Unit::Ticks] {
         if let Ok(lowered) = lower(&resolved.hir, unit) {

@@ -29,7 +29,7 @@ pub struct Judge<'a> {
     loaded: &'a Loaded,
     /// For each task, which of its values the checks read.
     asks: Vec<Vec<Ask>>,
-    /// For each task, its present values in the order of `asks`; `None` if a value is not known.
+    /// For each task, its current values in the order of `asks`; `None` if a value is not known.
     stand: Vec<Vec<Option<i64>>>,
     /// For each task, why some of its values are not known; `None` while the task's node reports all of them, and before the
     /// node's first report.
@@ -81,7 +81,7 @@ struct CheckState {
     doubt: Option<Doubt>,
     /// For how long it was unknown whether the check held, by reason.
     doubted: BTreeMap<Doubt, u64>,
-    /// Whether the present break of the check has been reported.
+    /// Whether the current break of the check has been reported.
     is_told: bool,
     /// For `leads`: since when the check waits for its consequence, and when the consequence is late.
     due: Option<(u64, u64)>,
@@ -185,7 +185,7 @@ impl<'a> Judge<'a> {
         self.unknown[task.index()] = Some(why);
     }
 
-    /// Notes that a node has reported everything before `until`.
+    /// Notes that a node has reported all events before `until`.
     pub fn told(&mut self, node: NodeId, until: u64) {
         if let Some(Some(told)) = self.told.get_mut(node.index()) {
             *told = until.max(*told);
@@ -208,7 +208,8 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// Notes that the pipe of a node has ended. What the node did after its last report is unknown unless everything was reported.
+    /// Notes that the pipe of a node has ended. Acts of the node after its last report are unknown, unless
+    /// that was its final report.
     pub fn gone(&mut self, node: NodeId) {
         let until = self.told.get_mut(node.index()).and_then(|told| told.replace(u64::MAX));
         let Some(until) = until.filter(|until| *until < u64::MAX) else { return };
@@ -320,8 +321,8 @@ impl<'a> Judge<'a> {
         matches!(self.loaded.checks[check].kind, CheckKind::Leads { .. })
     }
 
-    /// Lets time pass up to `until` without a change of values. Notes the checks that are broken all this time, and the `leads`
-    /// checks whose time limit ends before `until`.
+    /// Advances the judgement to `until`; no value changes in this time. Notes the checks that are broken during it,
+    /// and the `leads` checks whose time limit ends before `until`.
     fn pass(&mut self, until: u64, broken: &mut Vec<Broken>) {
         let length = until.saturating_sub(std::mem::replace(&mut self.settled, until));
         for check in 0..self.states.len() {

@@ -213,7 +213,8 @@ impl Settlement {
         Self(joined)
     }
 
-    /// Notes that all machines have reported: a check that none of them has judged stays open. Returns one line for each such check.
+    /// Marks each check that no machine could judge, once all machines have reported. Returns one line for each such
+    /// check.
     pub(crate) fn mark_apart(&mut self) -> Vec<String> {
         let elsewhere = self.0.iter_mut().filter(|settled| settled.outcome == Outcome::Elsewhere);
         let apart = |settled: &mut Settled| {

@@ -1,5 +1,5 @@
-//! Which rounds of a waitfor each member took part in. The reports of several machines have these sets, because the machines
-//! share no clock: the rounds have numbers, and so the sets of all members give the outcomes of the rounds.
+//! In which rounds of a waitfor each member took part. Machines share no clock, so their reports have sets of round
+//! numbers instead of events with times. The sets of all members together give the outcomes of the rounds.
 
 use super::rounds::{Rounds, Wide};
 use super::settled::falsely;
@@ -8,17 +8,17 @@ use crate::pipe::{Event, What};
 use imrs_protocol::{CellTable, NodeId, Port, PortId, TaskId, Usage};
 use serde::{Deserialize, Serialize};
 
-/// The greatest number of ranges that are kept of each set. If there are more, the oldest rounds are forgotten.
+/// The most ranges that are kept of each set. If a set has more, the oldest rounds of the report are forgotten.
 const RANGES: usize = 4_096;
-/// A member counts its rounds from 0 when its node starts, modulo this number.
+/// When its node starts, a member counts its rounds from 0. The numbers wrap around at this number.
 const WRAP: i64 = 1 << 16;
-/// The greatest number of wraps between two members that is looked for: a month of ten rounds a second.
+/// By how many wraps the counts of two members may differ at most: a month of ten rounds a second.
 const MOST_WRAPS: i64 = 400;
 
 /// The rounds of a waitfor in which a member took part.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Attended {
-    /// The waitfor's port.
+    /// The port of the waitfor (a rendezvous of tasks).
     pub port: PortId,
     /// The member.
     pub task: TaskId,
@@ -28,7 +28,7 @@ pub struct Attended {
     pub released: Spans,
     /// The rounds that the member gave up.
     pub gave_up: Spans,
-    /// The last round that was forgotten, if there were too many; so were all earlier ones.
+    /// The last round that was forgotten, because a set had too many ranges. All earlier rounds were forgotten, too.
     pub forgotten: Option<i64>,
     /// Whether events of the member are missing.
     pub is_partial: bool,
@@ -53,14 +53,15 @@ impl Attended {
         }
     }
 
-    /// The first and the last round of which this report tells.
+    /// The first and the last round about which this report has complete information.
     fn told(&self) -> Option<(i64, i64)> {
         let ends = self.sets().into_iter().filter_map(Spans::ends);
         let (first, last) = ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
         Some((self.forgotten.map_or(first, |forgotten| first.max(forgotten + 1)), last))
     }
 
-    /// The same rounds, counted as `other` counts them: the wraps are those with which both were released in the most rounds.
+    /// The same rounds, numbered as in `other`: shifted by the number of wraps with which the two sets have the most
+    /// rounds in common.
     fn counted_as(&self, other: &Spans) -> Self {
         let common = |&wraps: &i64| (self.released.shifted(wraps * WRAP).common(other), -wraps.abs());
         let wraps = self.released.ends().zip(other.ends()).and_then(|((first, last), (from, to))| {
@@ -74,7 +75,7 @@ impl Attended {
     }
 }
 
-/// Collects the rounds in which the members took part that report to this launcher.
+/// Collects the rounds of the members whose nodes report to this launcher.
 pub struct Attendance(Vec<(Attended, Wide)>);
 
 impl Attendance {
@@ -98,7 +99,7 @@ impl Attendance {
         }
     }
 
-    /// The rounds of each member. `is_partial`: events of nodes are missing.
+    /// The rounds of each member. `is_partial` says whether events of nodes are missing.
     pub fn told(&self, is_partial: bool) -> Vec<Attended> {
         self.0.iter().map(|(attended, _)| Attended { is_partial, ..attended.clone() }).collect()
     }
@@ -109,10 +110,11 @@ pub fn waitfors(table: &CellTable) -> impl Iterator<Item = &Port> {
     table.ports().iter().filter(|port| port.decl.usage == Usage::Waitfor)
 }
 
-/// The outcomes of the rounds of one waitfor, from what its members reported. A member may have several reports, each of another
-/// start of its node.
+/// The outcomes of the rounds of one waitfor, computed from the reports of its members. A member has one report for
+/// each start of its node on each machine.
 pub fn outcomes(members: &[TaskId], reports: &[&Attended]) -> Rounds {
-    // The longest report gives the numbers of the rounds.
+    // All rounds are numbered as in the longest report, because a member whose node started later counts from 0
+    // again.
     let longest = reports.iter().max_by_key(|report| report.released.common(&report.released));
     let reports: Vec<Attended> = reports
         .iter()
@@ -124,7 +126,7 @@ pub fn outcomes(members: &[TaskId], reports: &[&Attended]) -> Rounds {
         .iter()
         .map(|task| Member(reports.iter().filter(|report| report.task == *task).collect()))
         .collect();
-    // From one such round to the next, all sets stay as they are.
+    // From each of these rounds up to the next one, all rounds are in the same sets, and so have the same outcome.
     let mut turns: Vec<i64> = reports.iter().flat_map(turns_of).collect();
     turns.sort_unstable();
     turns.dedup();
@@ -136,10 +138,10 @@ pub fn outcomes(members: &[TaskId], reports: &[&Attended]) -> Rounds {
     sum
 }
 
-/// The rounds from which on a set of this report has other members, or the report tells of the rounds.
+/// The rounds at which any set of this report begins or ends.
 fn turns_of(report: &Attended) -> Vec<i64> {
     let ranges = report.sets().into_iter().flat_map(Spans::ranges).chain(report.told());
-    // The last round of a report is different from those before it: the member went on to no other.
+    // The last round of a range stands alone: the member may not have gone on to a later round.
     ranges.flat_map(|(first, last)| [first, last, last + 1]).collect()
 }
 
@@ -151,7 +153,7 @@ impl Member<'_> {
         self.0.iter().any(|report| set(report).has(round))
     }
 
-    /// Whether the reports tell of this round, be it that the member did not take part.
+    /// Whether a complete report of this member covers this round, even if the member did not take part in it.
     fn tells(&self, round: i64) -> bool {
         let whole = self.0.iter().filter(|report| !report.is_partial);
         whole.filter_map(|report| report.told()).any(|(first, last)| (first..=last).contains(&round))
@@ -163,7 +165,7 @@ impl Member<'_> {
     }
 }
 
-/// Adds `count` rounds with the same outcome to the sums: this one and those that follow it.
+/// Adds `count` successive rounds, from `round` on, to the sums. All of them have the same outcome.
 fn add(sum: &mut Rounds, members: &[Member<'_>], round: i64, count: u64) {
     let set = |is_so: &dyn Fn(&Member<'_>) -> bool| {
         members.iter().enumerate().fold(0, |set, (place, member)| set | u64::from(is_so(member)) << place)

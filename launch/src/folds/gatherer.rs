@@ -270,7 +270,7 @@ mod tests {
         gatherer.figures(NodeId(0), &figures(1));
         gatherer.figures(NodeId(0), &figures(5));
         gatherer.figures(NodeId(1), &figures(2));
-        // The counters of the next incarnation begin at zero.
+        // The counters of the restarted node begin at zero again.
         gatherer.killed(NodeId(1), 7);
         gatherer.revived(NodeId(1), 9);
         gatherer.figures(NodeId(1), &figures(3));

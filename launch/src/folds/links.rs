@@ -92,7 +92,7 @@ pub fn join(sum: &mut Vec<LinkReport>, more: &[LinkReport]) {
 }
 
 impl SecuritySummary {
-    /// The security events among the drops of a node's link.
+    /// Counts the datagrams that a node's link dropped, and that no node of the cell sent.
     pub fn new(link_discards: &BTreeMap<String, u64>, alarms: u64) -> Self {
         let is_one = |(name, _): &(&String, &u64)| SECURITY.contains(&name.as_str());
         let events = link_discards.iter().filter(is_one).map(|(name, n)| (name.clone(), *n)).collect();
@@ -105,7 +105,7 @@ impl SecuritySummary {
         (self.alarms > 0).then(|| security_words(node, self))
     }
 
-    /// How many events there were.
+    /// The number of dropped datagrams, for all reasons together.
     #[must_use]
     pub fn total(&self) -> u64 {
         self.events.values().sum()
@@ -126,7 +126,7 @@ impl Alarm {
     /// Takes the counters of a node at an instant. Returns whether they raise the alarm.
     pub fn take(&mut self, at: u64, link_discards: &BTreeMap<String, u64>) -> bool {
         let now = SecuritySummary::new(link_discards, 0).total();
-        // The counters of another incarnation begin at zero.
+        // The counters of a new incarnation begin at zero.
         self.before = if now < self.last { 0 } else { self.before };
         if at.saturating_sub(self.begun) >= WINDOW {
             (self.begun, self.before) = (at, self.last.min(now));
@@ -134,7 +134,7 @@ impl Alarm {
         self.last = now;
         let is_raised = now.saturating_sub(self.before) > FAILURES;
         if is_raised {
-            // One alarm for each window.
+            // Each window raises at most one alarm.
             self.before = u64::MAX;
             self.raised += 1;
         }
@@ -211,7 +211,7 @@ mod tests {
         let mut alarm = Alarm::default();
         assert!(!alarm.take(1, &drops("stale_session", 1_000)));
         assert!(!alarm.take(2, &drops("forged", 7)) && !alarm.take(3, &drops("forged", 5)), "a restart");
-        // Some events in every window are no alarm.
+        // A few such datagrams in every window raise no alarm.
         let mut alarm = Alarm::default();
         assert!((1..100).all(|n| !alarm.take(n * WINDOW, &drops("replayed", n * FAILURES))));
     }

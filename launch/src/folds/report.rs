@@ -1,4 +1,4 @@
-//! What one launcher reports of a run, and the file of it.
+//! What one launcher reports of a run, and the file format of such a report.
 
 use super::attendance::Attended;
 use super::trouble::Trouble;
@@ -8,9 +8,9 @@ use crate::pipe::Figures;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-/// The version of the files.
+/// The version of the file format.
 const VERSION: u32 = 1;
-/// What the files say of themselves.
+/// The value of the field `format` in each file.
 const FORMAT: &str = "imrs report";
 
 /// What one launcher reports of a run: `imrs run --report` writes it to a file.
@@ -82,7 +82,7 @@ pub struct AfterKill {
 /// Why a report cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
-    /// The file is something else.
+    /// The file is no report of a run.
     #[error("is no report of a run: name files that `imrs run CELL --node NAME --report FILE` wrote")]
     NoReport,
     /// The file has another version.
@@ -129,10 +129,11 @@ fn digests(loaded: &Loaded) -> [(&'static str, String); 2] {
         .map(|(what, digest)| (what, format!("{digest:08x}")))
 }
 
-/// The largest number of a report: so many microseconds are 12 days, and the sum of all numbers of the largest file is one.
+/// The greatest number that a report may have. In microseconds this is 12 days. Sums of such numbers cannot overflow.
 const LARGEST: u64 = 1 << 40;
 
-/// Whether sums of the numbers cannot overflow. The seed is in no sum.
+/// Whether sums of the report's numbers cannot overflow. The seed is never added to anything, so it may have any
+/// value.
 fn is_countable(value: &Value) -> bool {
     match value {
         Value::Number(number) => {
@@ -150,7 +151,7 @@ impl Report {
     pub fn text(&self, loaded: &Loaded) -> String {
         let [(_, declarations), (_, statements)] = digests(loaded);
         let head = Head { format: FORMAT.into(), version: VERSION };
-        // All keys are texts and all numbers are finite, so nothing can fail.
+        // All keys are text and all numbers are finite, so this cannot fail.
         serde_json::to_string(&File { head, declarations, statements, report: self }).unwrap_or_default()
             + "\n"
     }
@@ -162,7 +163,7 @@ impl Report {
     pub fn read(text: &str, loaded: &Loaded) -> Result<Self, ReportError> {
         let head: Head = match serde_json::from_str(text) {
             Ok(head) => head,
-            // A report that was cut off begins as a report.
+            // A file with this beginning is a report, but its end is missing.
             Err(error) if text.starts_with(&format!("{{\"format\":\"{FORMAT}\"")) => {
                 return Err(ReportError::Damaged(error.to_string()));
             }

@@ -1,10 +1,10 @@
-//! The outcomes of the rounds of a waitfor, as the summary shows them.
+//! The outcomes of the rounds of a waitfor (a rendezvous of tasks), as the summary shows them.
 
 use super::spread::Spread;
 use imrs_protocol::Round;
 use serde::Serialize;
 
-/// The outcomes of all rounds of one waitfor.
+/// The outcomes of all rounds of one waitfor (a rendezvous of tasks).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Rounds {
     /// How many rounds have ended.

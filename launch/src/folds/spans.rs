@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// A set of rounds. Most rounds follow each other, so few ranges hold many of them.
+/// A set of rounds. Most rounds in it are successive, so a few ranges hold many rounds.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(from = "Vec<(i64, i64)>", into = "Vec<(i64, i64)>")]
 pub struct Spans(BTreeMap<i64, i64>);
@@ -57,7 +57,7 @@ impl Spans {
         }
     }
 
-    /// Removes the rounds up to this one.
+    /// Removes this round and all earlier ones.
     pub fn forget(&mut self, upto: i64) {
         let rest = self.0.split_off(&(upto + 1));
         let end_of_rest = self.0.last_key_value().map(|(_, &last)| last).filter(|&last| last > upto);

@@ -48,8 +48,8 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Makes the summary from the reports of one launcher or of several. A node may be in several reports, each of another of
-    /// its starts.
+    /// Makes the summary from the reports of one launcher or of several. If a node is in several reports, each report
+    /// is of another start of the node.
     #[must_use]
     pub fn of(table: &CellTable, reports: &[Report], rendezvous: Vec<RendezvousSummary>) -> Self {
         let nodes = nodes(table, reports);
@@ -79,8 +79,8 @@ impl Summary {
     }
 }
 
-/// Each node of the reports, with what all its reports say together, and the counters of all its incarnations. The last
-/// report says how the node ended.
+/// For each node, one report joined from all its reports, and the counters of all its incarnations. The last report
+/// says how the node ended.
 fn nodes(table: &CellTable, reports: &[Report]) -> Vec<(NodeId, NodeReport, Figures)> {
     let mut nodes: Vec<(NodeId, NodeReport, Figures)> = Vec::new();
     for report in reports.iter().flat_map(|report| &report.nodes) {

@@ -1,4 +1,4 @@
-//! Counts the outcomes of the rounds of a waitfor, from the events that its members reported.
+//! Counts the outcomes of the rounds of a waitfor (a rendezvous), from the events that its members reported.
 
 use super::rounds::{Rounds, Wide};
 use super::settled::{Settled, falsely};

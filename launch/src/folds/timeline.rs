@@ -42,7 +42,8 @@ pub struct Timeline<'a> {
     alarms: Vec<Alarm>,
     /// Whether this launcher runs one node of several.
     is_alone: bool,
-    /// How many datagrams of ended sessions a node had dropped when a line last reported it, and when that was.
+    /// How many datagrams of ended sessions a node had dropped when a line last reported this, and when that line was
+    /// added.
     ended: (u64, u64),
 }
 
@@ -197,7 +198,7 @@ impl<'a> Timeline<'a> {
         }
     }
 
-    /// Adds a line for each neighbour that a node refuses, once.
+    /// Adds a line for each neighbour that a node refuses, but only once.
     fn refusals(&mut self, at: u64, node: NodeId, figures: &Figures) {
         for refusal in &figures.refusals {
             let words = refusal.words(self.name(node));
@@ -240,8 +241,8 @@ impl<'a> Timeline<'a> {
         }
     }
 
-    /// Adds a line when a node that runs alone drops datagrams of an ended session, and not again for a while. A launcher of
-    /// all nodes says itself that it has started one of them again.
+    /// Adds a line when a node that runs alone drops datagrams of an ended session, but not again for a while. For a
+    /// launcher of all nodes no line is needed: it has restarted the neighbour itself, and a line says so.
     fn ended_sessions(&mut self, at: u64, node: NodeId, figures: &Figures) {
         let dropped = figures.link_discards.get("stale_session").copied().unwrap_or_default();
         let (told, told_at) = self.ended;
@@ -255,7 +256,7 @@ impl<'a> Timeline<'a> {
         }
     }
 
-    /// Adds a line for each script of a restarted node that is held back. The line says for how long.
+    /// Adds a line for each script of a restarted node that does not begin yet. The line says when it will.
     fn held_back(&mut self, at: u64, node: NodeId, held: &[(TaskId, u64)]) {
         let all = self.loaded.table.tasks_on(node).count() == held.len();
         let mut by_time: BTreeMap<u64, Vec<&str>> = BTreeMap::new();

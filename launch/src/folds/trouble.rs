@@ -20,7 +20,7 @@ pub struct TaskTrouble {
     table: Arc<CellTable>,
     /// Whether the run gets an explanation, which judges the tasks that abort after a fault.
     is_explained: bool,
-    /// Whether a fault was injected, or packets are lost on purpose.
+    /// Whether a fault was injected, or the run loses packets on purpose.
     is_disturbed: bool,
     found: Vec<Trouble>,
 }

@@ -63,7 +63,8 @@ impl Launcher<'_> {
         self.faults.iter().any(|(_, fault)| matches!(fault, Fault::Restart(_)))
     }
 
-    /// If the run has no declared end, notes once that the only tasks that still run serve for ever.
+    /// Puts the fact into the event log, once, that only tasks that serve for ever still run. Only if the run has no
+    /// declared end.
     fn tell_idle(&mut self) {
         if self.idle_told || self.run.length.is_some() || self.restarts() || self.log.is_over {
             return;

@@ -76,7 +76,7 @@ struct Process {
     unrecorded: Option<String>,
     /// Whether the node has got the address book. The scripts begin then, unless they are held back.
     has_book: bool,
-    /// When the next held-back script may begin.
+    /// When the next script may begin, of those that the restart of the node holds back; `None` if there is none.
     begins: Option<Instant>,
     out: MessageQueue,
 }
@@ -121,7 +121,7 @@ pub fn run(
     }
 }
 
-/// How a node ends: in order, or as after a power cut.
+/// How a node ends: in order, or as in a power cut.
 enum Leave {
     InOrder,
     AtOnce,

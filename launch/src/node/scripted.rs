@@ -102,7 +102,7 @@ impl Narrator {
         !self.state.lock().unwrap_or_else(PoisonError::into_inner).sampler.is_blind()
     }
 
-    /// Queues a message about this instant. Messages about the end of a task are never dropped, because there is only
+    /// Queues a message about the instant `at`. Messages about the end of a task are never dropped, because there is only
     /// one of them per task.
     fn tell(&self, at: u64, word: Word) {
         let is_end =

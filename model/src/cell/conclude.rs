@@ -65,7 +65,7 @@ pub(super) fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, (outside, is_open)
             }
         }
     }
-    // An endless wait at the place of a deadlock is part of that deadlock.
+    // If a task waits for ever at the place of a deadlock, the wait is part of that deadlock.
     let deadlocks: Vec<_> = verdicts.of(Kind::Deadlock).map(place).collect();
     verdicts.warnings.retain(|warning| !deadlocks.contains(&place(warning)));
     verdicts.findings.sort_by_key(|finding| (finding.kind, finding.phase, finding.task, finding.address));

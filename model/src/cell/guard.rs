@@ -204,8 +204,8 @@ struct Walk<'a> {
     kept: &'a Kept,
     apart: Option<&'a Apart>,
     moves: Vec<CellMove>,
-    /// Whether a restarted node is farther behind the rounds of the others than packed states can say. Then the walk
-    /// and its twin, the copy that is packed and loaded, behave alike, but with different round numbers.
+    /// Whether a restarted node is farther behind the rounds of the other members than packed states can hold. Then the
+    /// walk and its twin, the copy that is packed and loaded, behave alike, but with different round numbers.
     far: bool,
     /// Whether states of the walk may be covered by a kept state (one that the search stored, and that allows all their
     /// moves) which the look-up cannot find.

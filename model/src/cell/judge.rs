@@ -34,7 +34,7 @@ impl Shown {
         Self { kind, task: None, address: None, check: None, cause, last: true, couple: None, others }
     }
 
-    /// The finding as it is told while the search goes on.
+    /// The finding in the form in which a running search reports it.
     pub fn so_far(&self) -> FoundSoFar<'_> {
         let place = self.task.zip(self.address).map(|(task, at)| (TaskId::from_index(task), at));
         FoundSoFar { kind: self.kind, cause: &self.cause, place }

@@ -43,7 +43,7 @@ pub fn check_cell_and_tell(plan: &Arc<CellPlan>, progress: &dyn SearchProgress) 
     conclude(plan, done, (outside, is_open))
 }
 
-/// Searches at the times of the plan.
+/// Searches a phase at the event times of the plan.
 fn look(
     plan: &Arc<CellPlan>,
     phase: (Phase, usize),
@@ -71,7 +71,7 @@ fn look_at_all_times(
     progress: &dyn SearchProgress,
 ) -> Done {
     let start = Instant::now();
-    // The plan with other times, to end when this share of all seconds has passed.
+    // A copy of the plan with other event times, whose search ends when this share of the plan's seconds has passed.
     let within = |times: Times, share: f64| {
         let mut short = CellPlan { times, ..CellPlan::clone(plan) };
         short.budget.seconds = (plan.budget.seconds * share - start.elapsed().as_secs_f64()).max(0.0);

@@ -6,7 +6,7 @@ use imrs_protocol::{CellTable, NodeId, Rate, TaskId, Ticks};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// [`CellPlan::zones`] if nothing else is set. In the examples, fewer make searches longer as often as shorter.
+/// The default of [`CellPlan::zones`]. In searches of the examples, fewer zones cost time as often as they save it.
 const MOST_ZONES: usize = 64;
 
 /// What a task does.
@@ -170,29 +170,28 @@ impl Budget {
 /// packets, from one tick to their link's bound.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Times {
-    /// All times, if that takes at most three quarters of the seconds of the budget: as with [`Every`](Self::Every) if that
-    /// takes at most [`AUTO_STATES`](Self::AUTO_STATES) states, with faults
-    /// [`AUTO_STATES_WITH_FAULTS`](Self::AUTO_STATES_WITH_FAULTS), and else as with [`Zones`](Self::Zones). If neither ends in
-    /// that time: as with [`Ends`](Self::Ends). Zones do not cover pauses and drift; then `Every` and
-    /// [`Between`](Self::Between) are tried within these limits.
+    /// Tries all times first, and [`Ends`](Self::Ends) if that does not finish within three quarters of the budget's
+    /// seconds. All times are tried as [`Every`](Self::Every), up to [`AUTO_STATES`](Self::AUTO_STATES) states, or
+    /// [`AUTO_STATES_WITH_FAULTS`](Self::AUTO_STATES_WITH_FAULTS) with faults; then as [`Zones`](Self::Zones). Zones do
+    /// not cover pauses and drift: then `Every` and [`Between`](Self::Between) are tried.
     #[default]
     Auto,
     /// Actions end at their least or most time, packets arrive at their bound.
     Ends,
-    /// Actions and packets also end or arrive right after any event, between these times, in the same independent part of
-    /// the cell.
+    /// Actions also end, and packets also arrive, right after any other event in the same independent part of the cell,
+    /// within their declared times.
     Between,
-    /// Actions and packets end or arrive at every tick between these times, or at every tick that [`CellPlan::step`]
-    /// leaves.
+    /// Actions end and packets arrive at every tick of their declared times; with a [`CellPlan::step`] above 1, only at
+    /// some of these ticks.
     Every,
     /// As with `Every`, but the search uses zones: sets of times at which the same happens.
     Zones,
 }
 
 impl Times {
-    /// The most states that finer times may take without faults before the search tries coarser times.
+    /// The most states that a search at finer event times may take without faults, before coarser times are tried.
     pub const AUTO_STATES: u64 = 30_000;
-    /// The most states that finer times may take with faults, before the search tries coarser times.
+    /// The most states that a search at finer event times may take with faults, before coarser times are tried.
     pub const AUTO_STATES_WITH_FAULTS: u64 = 8_000;
 }
 
@@ -218,8 +217,8 @@ pub struct CellPlan {
     /// notices, keeps covered states and dead variables, tries crashes, restarts and pauses at every event, and searches
     /// all independent parts together.
     pub everything: bool,
-    /// The greatest number of zones that a search by zones keeps for one control. If there would be more, the search keeps
-    /// the least zone that includes them all, their *hull*.
+    /// The greatest number of zones that a search by zones keeps for one control (a state without its times). If there
+    /// would be more, the search keeps the least zone that includes them all, their *hull*.
     pub zones: usize,
     /// How many packets a node's transit buffer holds.
     pub transit: u16,
@@ -227,7 +226,8 @@ pub struct CellPlan {
     pub jobs: usize,
     /// What charts show of the cell's text. The verdict does not depend on it.
     pub legend: Legend,
-    /// The tasks whose bodies are outside the cell. They have got programs that try any use of their ports.
+    /// The tasks whose bodies are outside the cell. `outside::with_programs` gave them programs that try any use of
+    /// their ports.
     pub(super) outside: Vec<usize>,
     /// The independent part that is searched; `None` stands for the whole cell.
     pub(super) part: Option<Part>,

@@ -9,7 +9,8 @@ use imrs_protocol::script::Address;
 /// Receives the reports of the searches of a cell. All methods are called by the thread that called
 /// [`check_cell_and_tell`](super::check_cell_and_tell).
 pub trait SearchProgress {
-    /// A search begins. A phase has several of them if its parts are searched one by one, or if finer times took too long.
+    /// A search begins. A phase (without faults, or with one fault hypothesis) has several searches if its parts are
+    /// searched one by one, or if finer times took too long.
     fn started(&self, phase: (Phase, usize), times: Times) {
         let _ = (phase, times);
     }
@@ -32,7 +33,8 @@ impl SearchProgress for Silent {}
 /// How far a search is.
 #[derive(Clone, Copy, Debug)]
 pub struct SoFar {
-    /// The states that were kept. A search by zones does not count those whose times another state includes.
+    /// The number of kept states. A search by zones does not count a state if another kept state includes all its
+    /// times.
     pub states: u64,
     /// How many of the kept states are still to be expanded.
     pub open: u64,

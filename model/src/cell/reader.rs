@@ -50,7 +50,7 @@ impl Reader {
         };
     }
 
-    /// Ends a step: reads what the scripts did in it, and its log.
+    /// Ends a step: reads what the scripts did in the step, and the step's log.
     pub fn after(&mut self, turns: &[ScriptReaction], log: &[Effect]) {
         for turn in turns {
             if let Some(begun) = self.step.begun.get_mut(turn.task) {

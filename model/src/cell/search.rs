@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
-/// States expanded between two looks at the budget.
+/// The number of states that are expanded between two checks of the budget.
 const BATCH: usize = 1024;
 /// The number of states of a batch that a thread takes at a time.
 const PART: usize = 32;
@@ -40,7 +40,7 @@ struct Search {
     longest: usize,
     outgrown: bool,
     graph: StateGraph,
-    /// For each kept state, the fingerprint of its core: of all its bytes but its remaining faults.
+    /// For each kept state, the fingerprint of its core: all bytes of the state except its remaining faults.
     cores: Vec<u64>,
     sample: unfinished::Sample,
     /// The least depth in the last batch, if a budget ended the search before all results of that batch were merged.
@@ -57,7 +57,7 @@ pub(super) struct Kept {
     pub reached: Reached,
 }
 
-/// Searches a phase. Also returns the states that the search kept.
+/// Searches a phase: without faults, or with one fault hypothesis. Also returns the states that the search kept.
 pub(super) fn explore_and_keep(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Kept {
     let (search, done) = search(plan, (phase, 0), faults, &Silent);
     let hits = search.hits.into_iter().map(|hit| hit.shown).collect();
@@ -107,7 +107,8 @@ fn search(
             Err(OutOfMemory) => ended_by = Some(plan.budget.out_of_memory()),
         }
     }
-    // Several still states are tried, because not every cycle has a task that waits for others.
+    // Several still states (no path leads from them to progress) are tried, because the first may lie on a cycle in
+    // which no task waits for others.
     let mut idle = HashSet::new();
     let told = still.into_iter().take(standstill::MOST_TOLD).find_map(|at| {
         if idle.contains(&search.cores[at]) {
@@ -132,7 +133,7 @@ fn search(
         whole_depth: left.map_or(depth, u64::from),
         ticks: findings.iter().map(|finding| finding.at_ticks).max().unwrap_or(0),
         complete: ended_by.is_none(),
-        // After a deadlock, too, the search does not explore what its tasks would have done.
+        // A deadlock, too, hides states: the search does not explore what the deadlocked tasks would have done next.
         pruned: search.hits.iter().any(|hit| hit.shown.last || hit.shown.kind == Kind::Deadlock),
         ended_by,
         unfinished: None,

@@ -92,7 +92,7 @@ impl StateGraph {
         back.extend(self.steps.iter().filter_map(|&(from, to)| Some((*places.get(&to)?, from))));
         back.sort_unstable();
         while let Some(at) = open.pop() {
-            // States that differ only in their remaining faults have the same edges, because these have no faults.
+            // States that differ only in their remaining faults have the same edges, because no edge contains a fault.
             let first = places.get(&cores[at as usize]).copied().unwrap_or(at);
             let begin = back.partition_point(|&(to, _)| to < first);
             for &(_, from) in back[begin..].iter().take_while(|&&(to, _)| to == first) {
@@ -111,8 +111,8 @@ pub(super) const fn is_outside(step: CellMove) -> bool {
 }
 
 /// Explores a standstill and reports what repeats in it. Returns `None` if no task waits for others, if some path makes
-/// progress after all, or if the standstill has too many states. `idle` collects the core fingerprints of states from which
-/// no task waits.
+/// progress after all, or if the standstill has too many states. If no task waits for others, `idle` gets the core
+/// fingerprints of the standstill's states.
 pub(super) fn tell(
     plan: &Arc<CellPlan>,
     (phase, hypothesis): (Phase, usize),
@@ -124,7 +124,7 @@ pub(super) fn tell(
     if !moves.iter().all(|&step| run_state.survives(step)) {
         return None;
     }
-    // The steps of scripts before the standstill are dropped, because they are not part of it.
+    // The steps of scripts before the standstill are dropped, because they are not part of the standstill.
     run_state.cell.turns.iter_mut().for_each(Vec::clear);
     let seen = Round::walk(&mut run_state, &mut moves)?;
     let asks = seen.asks();

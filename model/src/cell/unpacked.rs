@@ -23,7 +23,7 @@ impl Unpacked {
         Self { run_state, reached, phase }
     }
 
-    /// The same cell without the rules over its history, so that packed states can be loaded.
+    /// The same cell without its history. Rules over the history are then not judged, and packed states can be loaded.
     pub fn without_history(mut self) -> Self {
         self.run_state.cell.forget_history();
         self

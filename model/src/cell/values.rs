@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// The greatest number of values to try in a field.
 const MOST: usize = 12;
 
-/// The values to try in messages from outside the cell. In one message all fields have the same one of these values.
+/// The values to try in messages from outside the cell. Message number `n` has the `n`-th value in every field.
 ///
 /// Scripts and checks compare with constants, so values between these constants lead to no other behaviour. The values are
 /// zero, one, all constants, and the two neighbours of each constant that is compared by order.
@@ -102,7 +102,8 @@ struct Candidates<T> {
 }
 
 impl<T: PartialEq + Copy> Candidates<T> {
-    /// The values to try, constants first, both sorted by `order`; then the values beyond the limit.
+    /// The values to try: first the constants, then their neighbours, both sorted by `order`. The second list has the
+    /// values beyond the limit `MOST`.
     fn cut<K: Ord>(self, order: impl Fn(&T) -> K) -> (Vec<T>, Vec<T>) {
         let mut kept: Vec<T> = Vec::new();
         for mut some in [self.all, self.near] {
@@ -118,7 +119,8 @@ impl<T: PartialEq + Copy> Candidates<T> {
     }
 }
 
-/// The expressions of scripts and checks. `None` in an expression stands for an operation of a script that is no term.
+/// The expressions of scripts and checks. `None` in an expression stands for an operation of a script that is not a
+/// term.
 fn expressions(plan: &CellPlan) -> impl Iterator<Item = Vec<Option<Term>>> {
     let term = |op: &Op| if let Op::Term(term) = op { Some(*term) } else { None };
     let bodies = plan.tasks.iter().filter_map(move |task| match task {
@@ -150,7 +152,8 @@ const fn nearest_real(value: i64) -> f32 {
     value as f32
 }
 
-/// The operator that takes a constant as an operand: the term after the constant, or the term after one more operand.
+/// The operator that takes a constant as an operand. In postfix order it is one of the next two terms after the
+/// constant.
 fn operator(behind: &[Option<Term>]) -> Option<Term> {
     let near = behind.iter().take(2).map_while(|term| *term);
     near.into_iter().find(|term| matches!(term, Term::Int(_) | Term::Real(_)))

@@ -171,7 +171,7 @@ pub struct Finding {
     /// Other tasks with the same statements, each with the same finding.
     #[serde(default)]
     pub also: Vec<TaskId>,
-    /// The operation in the task's program at which it was made.
+    /// The operation of the task's program at which the finding was made.
     pub address: Option<Address>,
     /// The check that the finding is about, by its position.
     pub check: Option<usize>,
@@ -210,8 +210,8 @@ pub struct Coverage {
     pub parts: u32,
     /// The number of different states that were kept. Between two kept states only one move at a time is possible.
     pub states: u64,
-    /// The number of runs of a search by zones that lead to states with more times than the cell can reach (D189, D209). If
-    /// there are such runs, a statement may count as reached that cannot be reached.
+    /// How often a search by zones reached a state together with times that the cell cannot reach (D189, D209). If this
+    /// is not 0, a statement may count as reached that cannot be reached.
     #[serde(default)]
     pub inexact: u64,
     /// Moves made.
@@ -232,7 +232,7 @@ pub struct Coverage {
     /// The states that the search had found but not expanded when the budget ended it.
     #[serde(default)]
     pub unfinished: Option<Unfinished>,
-    /// A search of the same phase at finer times, which a budget ended before.
+    /// An earlier search of the same phase at finer times, which a budget ended.
     #[serde(default)]
     pub finer: Option<Box<Coverage>>,
     /// The number of bytes of the longest packed state.

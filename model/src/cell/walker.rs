@@ -11,7 +11,7 @@ use crate::state::Violation;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-/// After this many moves without an alternative, a state is kept in any case.
+/// After this many moves without an alternative, the search keeps (stores) the state in any case.
 const WALK: u16 = 512;
 
 /// How a kept state was first reached: its parent, which of the parent's moves, and the number of choices on the path.
@@ -37,7 +37,7 @@ pub(super) struct Stop {
     pub state: Box<[u8]>,
 }
 
-/// A walk, as far as it has come.
+/// The part of a walk that has been made so far.
 #[derive(Clone, Copy)]
 struct WalkPath {
     from: u32,
@@ -119,11 +119,11 @@ impl Walker {
         }
     }
 
-    /// Drops the moves that lose a packet whose arrival changes nothing: the arrival leads to the same state, with more
-    /// faults left. Instead of losing this packet, a cut may as well begin with the next packet, or end before this packet.
-    /// There are two exceptions: an arrival ends postponements of actions and packets, and the receiving node may crash
-    /// right after it, while a loss has neither effect. In these cases the move that ends a cut stays. Returns whether the
-    /// run state was changed.
+    /// Drops the moves that lose a packet whose arrival would change nothing. The arrival leads to the same state, with
+    /// more faults left. A cut that begins or ends at this packet may as well begin at the next packet, or have ended
+    /// before. The move that ends a cut stays in two cases: if events are postponed, because an arrival ends
+    /// postponements; and if nodes may crash, because a node may crash right after an arrival. Returns whether the run
+    /// state was changed.
     fn leave_out(&mut self, state: &[u8], moves: &mut Vec<(u16, CellMove)>) -> bool {
         if self.run_state.plan.everything {
             return false;
@@ -210,8 +210,8 @@ impl Walker {
                     self.walks.stops.push(Stop { origin, mark, state });
                 }
             }
-            // For example, members of a rendezvous may give up again and again, so that their rounds drift apart without
-            // bound.
+            // A number of the state outgrew its field. For example, the rounds of a rendezvous drift apart without
+            // bound if its members give up again and again.
             Err(Violation::Overflow) => self.walks.outgrown = true,
             Err(violation) => {
                 self.note(Shown::whole(Kind::Machine, violation.text()), origin);
@@ -245,8 +245,8 @@ impl Walker {
         })
     }
 
-    /// Looks up a state whose only move is the arrival of a packet. The same state with more faults left has a choice, so
-    /// the search may have kept that one. If not, two paths that join here meet again at the next kept state of the chain.
+    /// Looks up a state whose only move is the arrival of a packet. With more faults left the same state has a choice,
+    /// so the search may have kept it. If not, two paths that join here meet again at the next kept state of the chain.
     fn is_known(&mut self, moves: &[CellMove], seen: &Seen) -> Known {
         if !matches!(moves, [CellMove::Deliver(_) | CellMove::Vanish(_)]) {
             return Known::No;

@@ -9,7 +9,7 @@ use imrs_protocol::{
 /// What an activation of a task is doing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) enum Does {
-    /// The activation is free to begin its errand.
+    /// The activation is idle. It may begin its task's errand.
     #[default]
     Free,
     /// The activation waits for its communication task.
@@ -102,7 +102,7 @@ impl Body {
         self.activations.last_mut()
     }
 
-    /// Whether the task can step by itself now.
+    /// Whether the task can take its next step now, without an input.
     pub fn may_act(&self, plan: &TaskPlan) -> bool {
         if self.actor.is_some() {
             return false;

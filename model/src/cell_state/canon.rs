@@ -70,8 +70,8 @@ impl CellState {
         let mut behind = if self.counts_behind() { self.behind_from(&bases) } else { Vec::new() };
         out.push(0);
         Encode::append(out, &frame, |w| self.walk(&mut behind, w))?;
-        // Packets arrive in the order in which they left. In the search of a cell the packets are already sorted by their
-        // links.
+        // Packets of a link are packed in the order in which they left, because they arrive in that order. In the
+        // search of a cell the packets are already sorted by their links.
         let is_in_order =
             self.plan.transfer == Transfer::Exact && self.in_flight.is_sorted_by_key(|carried| carried.link);
         if is_in_order {
@@ -163,7 +163,7 @@ impl CellState {
             return Bases { rounds: self.rounds.clone(), used, sequences, incarnations };
         }
         let mut least = Least(vec![None; self.rounds.len()]);
-        // Only rendezvous have rounds, so a cell without a `waitfor` needs no pass.
+        // Only rendezvous have rounds. In a cell without a `waitfor`, no task is searched for its least round.
         if self.plan.cell.ports().iter().any(|port| port.decl.usage == Usage::Waitfor) {
             for node_state in self.nodes.iter_mut().filter(|s| s.up) {
                 let parts = node_state.node.parts_mut();
@@ -179,7 +179,7 @@ impl CellState {
     }
 }
 
-/// A pass that finds, for each port, the least round in use.
+/// A pass over the fields of tasks, which finds the least round in use for each port.
 pub(crate) struct Least(pub Vec<Option<Round>>);
 
 impl Walk for Least {

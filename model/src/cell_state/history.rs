@@ -22,7 +22,7 @@ use imrs_protocol::{
 };
 use std::sync::Arc;
 
-/// The plain lists of a run.
+/// The lists of a run, with which the nodes' buffers are compared.
 #[derive(Clone, Debug)]
 pub(crate) struct History {
     plan: Arc<CellScenario>,

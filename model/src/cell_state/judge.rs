@@ -235,7 +235,7 @@ impl CellState {
         if wrong { Err(Violation::WrongAnswer) } else { Ok(()) }
     }
 
-    /// Judges the end of a delay: no tick of it may be left. Only if every node counts every tick as it passes.
+    /// Judges the end of a delay: no tick of it may be left. Judges only if every node counts every tick as it passes.
     fn judge_delay(&self, activation: &Activation) -> Result<(), Violation> {
         let Some(slack) = self.plan.waits() else { return Ok(()) };
         let exact = self.plan.faults.drift == 0 && self.plan.faults.late == 0;
@@ -434,7 +434,7 @@ impl CellState {
                 if activation.does != Does::Waits || activation.left == Activation::FOREVER {
                     continue;
                 }
-                // A wait that a handler interrupted learns that it has ended only when the handler returns.
+                // A task whose wait a handler interrupted learns only when the handler returns that the wait has ended.
                 if activation.left == 0 && i == last {
                     return Err(Violation::NoOutcome);
                 }

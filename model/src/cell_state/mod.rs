@@ -114,8 +114,8 @@ pub(crate) struct CellState {
     orders: bool,
     /// The history of the run; `None` if the run is not followed from its start.
     history: Option<Box<History>>,
-    /// Whether each step checks the invariants of the state machines, and compares what the search leaves out. Only the
-    /// search of a cell turns this off, for states that are not in its sample.
+    /// Whether each step also checks the invariants of the state machines, and that unchanged checks kept their values.
+    /// Only the search of a cell turns this off, for states that are not in its sample.
     pub is_sampled: bool,
     /// Whether times are symbolic (without a value): then fused steps are not compared, because a zone packs one state at a time.
     pub is_symbolic: bool,
@@ -130,7 +130,7 @@ pub(crate) enum Effect {
     Seen(u8, Option<TaskId>, Observation),
 }
 
-/// An incarnation this many rounds behind behaves like one that is farther behind: rounds are only compared.
+/// A new incarnation this many rounds behind behaves like one farther behind, because rounds are only compared.
 const FAR_BEHIND: u8 = 3;
 
 /// The greatest number of fused steps in one transition: more steps would be a loop in which no time passes.

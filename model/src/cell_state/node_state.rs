@@ -49,8 +49,8 @@ impl NodeState {
         }
     }
 
-    /// Walks whether the node is up and which incarnations it knows. Both are packed only if nodes can
-    /// restart.
+    /// Encodes, decodes or visits whether the node is up and which incarnations it knows. Both are packed only if nodes
+    /// can restart.
     pub fn walk_incarnations<W: Walk>(&mut self, w: &mut W) {
         let Self { up, incarnation, known, node: _, table: _, owed: _, asleep: _ } = self;
         w.flag(up);

@@ -12,8 +12,8 @@ use imrs_protocol::{Call, Delivery, PortId, ServiceOrder, TaskId};
 const DEEPEST: usize = ServiceOrder::LEVELS + 3;
 
 impl CellState {
-    /// Records that a message was rejected. A capped message outranks the thread, but never a handler. So the bound on
-    /// rejections holds only for tasks whose handlers do not wait (D76).
+    /// Records that a message was rejected. A message that was rejected as often as ranks stand above it outranks the
+    /// thread, but never a handler. So the bound on rejections holds only for tasks whose handlers do not wait (D76).
     pub(super) fn refused(&mut self, task: TaskId, port: PortId, name: Name) -> Result<(), Violation> {
         if !self.plan.counts_refusals() {
             return Ok(());

@@ -42,7 +42,7 @@ impl CellState {
         })
     }
 
-    /// Begins a script, with all its effects within the node, because one thread does all of this.
+    /// Begins a script, and carries out all its effects within the node, because one thread of a node does all of this.
     pub(crate) fn begin_whole(&mut self, task: usize) -> Result<(), Violation> {
         let i = self.node_state_of(task);
         let before = self.nodes[i].node.inputs();

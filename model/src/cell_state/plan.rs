@@ -362,7 +362,7 @@ impl CellScenario {
             .find_map(|w| if let CellProperty::Stale { slack } = *w { Some(slack) } else { None })
     }
 
-    /// If true remaining times of messages are kept: by how many ticks they exceed the declared times. `None` if not.
+    /// By how many ticks the true remaining times of messages exceed the declared ones. `None`: they are not kept.
     pub(crate) fn times_messages(&self) -> Option<u8> {
         let held = [CellProperty::TimeToLive, CellProperty::Expires];
         self.stale().or_else(|| held.into_iter().any(|watch| self.watches(watch)).then_some(0))

@@ -11,7 +11,7 @@ use std::sync::Arc;
 /// An action of a script that has begun.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Running {
-    /// The level of the script that waits for the action.
+    /// The activation that waits for the action: 0 is the task's own thread, a handler has its depth.
     pub level: u8,
     /// The number of the action in the program.
     pub action: u16,

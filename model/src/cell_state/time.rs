@@ -164,7 +164,7 @@ impl CellState {
     }
 }
 
-/// A pass that moves the epochs of a node at the node's first start.
+/// A pass over the fields of a node that starts for the first time, which moves its epochs to the plan's first epoch.
 pub(super) struct Epochs(pub u8);
 
 impl Walk for Epochs {
@@ -175,7 +175,7 @@ impl Walk for Epochs {
     }
 }
 
-/// A pass that moves the ids of a new node to the numbers from which this cell state counts.
+/// A pass over the fields of a new node, which moves its ids to the numbers from which this cell state counts.
 struct From<'a> {
     rounds: &'a [Round],
     sequences: &'a [Seq24],

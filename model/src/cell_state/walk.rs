@@ -19,8 +19,8 @@ const LAST: u8 = 0x80;
 const MOST_ACTIVATIONS: usize = 16;
 
 impl CellState {
-    /// Walks all fields but the packets in flight, which have an order of their own. The caller gives `behind`, because the
-    /// caller knows to what `behind` is relative.
+    /// Encodes, decodes or visits (as the pass `w` does) all fields but the packets in flight, whose order differs. The
+    /// caller gives `behind`, because the caller knows to what `behind` is relative.
     pub(super) fn walk<W: Walk>(&mut self, behind: &mut [u8], w: &mut W) {
         let counts_behind = self.counts_behind();
         let Self {
@@ -174,7 +174,7 @@ impl Running {
 }
 
 impl Activation {
-    /// Walks an activation. Returns whether it is the last activation of its task.
+    /// Encodes, decodes or visits an activation. Returns whether it is the last activation of its task.
     fn walk<W: Walk>(&mut self, (is_handler, is_last): (bool, bool), waits: bool, w: &mut W) -> bool {
         let Self { does, to, echo, nested, age, left, question, get, port, rank } = self;
         let head = w.put(

@@ -144,7 +144,7 @@ pub fn full_buffers(sends: u8, watch: CellProperty) -> Result<Arc<CellScenario>,
         PortDecl::new(name, from, Usage::Send, &[to], Ticks(7)).command()
     };
     let (east, west) = (cell.port(port("east", x, v)), cell.port(port("west", y, u)));
-    // On each of these nodes a second task sends while the first task waits.
+    // On each inner node a second task sends while the first task waits.
     let [x2, y2] = [("X2", nodes[1]), ("Y2", nodes[2])].map(|(name, node)| cell.task(name, node));
     let (east2, west2) = (cell.port(port("east2", x2, v)), cell.port(port("west2", y2, u)));
     let sender = |port: PortId| {

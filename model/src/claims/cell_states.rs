@@ -216,8 +216,8 @@ fn did_not_run() -> Claim {
     claim(("at-most-once", "default, told that it did not run", about), Outcome::Holds, true, parts)
 }
 
-/// Claims about copies that worlds with one task per node cannot show. In such worlds packets that the task would ignore
-/// are dropped, and only receivers crash.
+/// Claims about copies of messages. Worlds with one task per node cannot show them: there, packets that the task would
+/// ignore are dropped, and only receivers crash.
 fn copies() -> Vec<Claim> {
     let twice =
         |faults, watch| relay(Relay { sends: (2, 0), faults, watches: vec![watch], ..Relay::default() });

@@ -10,7 +10,8 @@ use crate::scenario::{Budget, Watch};
 use crate::worlds::Meeting;
 use imrs_protocol::rules::{Confirmation, Rules};
 
-/// The rows of a claim that only the full run explores. They follow the claim's other rows.
+/// The rows (rule, members and bounds) of a claim that only the full run explores. They are listed after the claim's
+/// other rows.
 pub(super) fn larger(name: &'static str) -> Vec<Claim> {
     match name {
         "no-false-release" => no_false_release(),

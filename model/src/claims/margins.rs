@@ -59,8 +59,8 @@ impl Search {
         }
     }
 
-    /// The claim that no margin is enough. The search tries all margins up to three times the closed form of the default
-    /// rules.
+    /// The claim that no margin is enough. The search tries all margins up to three times the margin that the formula
+    /// gives for the default rules.
     pub fn claim_none(self, rule: &'static str, about: &'static str) -> Claim {
         Claim {
             about,

@@ -11,12 +11,12 @@ const fn losses(once: u32, again: Option<u32>) -> Found {
     Found { least_losses_to_strand: Some(once), least_losses_with_resending: again, ..Found::NOTHING }
 }
 
-/// The least margin that holds, and the margin of the closed form (D56).
+/// The least margin that holds, and the margin that the formula gives (D56).
 const fn margin(least: u64, closed: u64) -> Found {
     Found { least_safe_margin: Some(least), closed_form_margin: Some(closed), ..Found::NOTHING }
 }
 
-/// The least TTL with which a message is served, and the TTL of the closed form (D59).
+/// The least TTL with which a message is served, and the TTL that the formula gives (D59).
 const fn ttl(least: u64, closed: u64) -> Found {
     Found { least_bound_ticks: Some(least), bound_ticks: Some(closed), ..Found::NOTHING }
 }

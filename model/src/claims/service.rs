@@ -215,7 +215,7 @@ fn penalty_is_fair() -> Vec<Claim> {
     ]
 }
 
-/// A kind of scenario whose watched message gets a TTL, and which knows a TTL that is surely long enough.
+/// Scenarios in which the TTL of the watched message can be set. `closed_form` computes a TTL that is long enough.
 trait TtlPlan: Clone + Send + Sync + 'static {
     fn part(&self) -> Part;
     fn closed_form(&self) -> u64;

@@ -13,8 +13,8 @@ use crate::worlds::{Exchange, Meeting};
 const OFF: Timing = Timing { overcharge: 1, late: 1 };
 const RULE: &str = "default, late timer and charge";
 
-/// The rows of a claim in which timers are late, packets are charged too much, or clocks drift. They follow
-/// the claim's other rows.
+/// The rows (rule, members and bounds) of a claim in which timers are late, packets are charged too much, or clocks
+/// drift. They are listed after the claim's other rows.
 pub(super) fn off(name: &'static str) -> Vec<Claim> {
     let budget = Budget { loss: 1, dup: 0, crash: 0 };
     let exchange = |watch, about| {

@@ -46,7 +46,7 @@ impl World {
         while at < bytes.len() {
             let (mut carried, len) = self.codec.decode(&bytes[at..]);
             if carried.packet.source == carried.packet.destination {
-                // The packet was packed without its sender (see `anonymous`), so any other member may stand for it.
+                // This CONFIRM was packed without its sender (see `anonymous`), so any other member becomes its source.
                 let other = (carried.packet.destination.index() + 1) % self.nodes.len();
                 carried.packet.source = TaskId::from_index(other);
             }
@@ -79,7 +79,7 @@ impl World {
         self.store_as(Form::Canonical)
     }
 
-    /// Packs the state with its turns unchanged, for tests.
+    /// Packs the state, but leaves the marks of the reduction by turns unchanged. For tests.
     pub fn store_plain(&mut self) -> Packed {
         self.store_as(Form::Plain)
     }
@@ -331,13 +331,13 @@ const OWED: u8 = 0x40;
 pub(crate) enum Form<'a> {
     /// The same form for all states that the reductions treat as equal.
     Canonical,
-    /// As `Canonical`, but with the turns unchanged: for tests.
+    /// As `Canonical`, but the marks of the reduction by turns are left unchanged. For tests.
     Plain,
-    /// As `Canonical`, but with the members in this order: for tests of the symmetry reduction.
+    /// As `Canonical`, but the members are packed in this order. For tests of the symmetry reduction.
     Named(&'a [usize]),
 }
 
-/// A pass that moves the rounds of a new node to the round from which this world counts.
+/// A pass over the fields of a new node, which moves its rounds to the round from which this world counts.
 pub(super) struct FromBase(pub Round);
 
 impl Walk for FromBase {

@@ -94,7 +94,7 @@ impl World {
         }
     }
 
-    /// Forgets all turns, for tests.
+    /// Clears the marks of the reduction by turns. For tests.
     pub fn forget_turns(&mut self) {
         self.set_open(false);
     }

@@ -17,7 +17,7 @@ pub const fn within(states: u64) -> Budget {
 }
 
 /// Whether two findings are about the same statement or check, even if they name different tasks with equal statements.
-/// Starvation is judged on one path only, so it counts as a time_out.
+/// Starvation counts as a time_out, because the search examines only one path to decide between the two.
 pub fn is_alike(one: &Finding, other: &Finding) -> bool {
     let about = |finding: &Finding| {
         let kind = if finding.kind == Kind::Starves { Kind::TimeOut } else { finding.kind };

@@ -28,7 +28,8 @@ pub fn cell(bytes: &[u8]) -> String {
     for node in 0..nodes {
         let _ = writeln!(text, "node n{node};");
     }
-    // The nodes form a row, so that packets of the farther nodes wait in the relays between them and the middle.
+    // The nodes form a row, so that packets of the farther nodes wait in the relays between these nodes and the task
+    // `middle`.
     for node in 1..nodes {
         let delay = tape.one(&["1 msec", "1 msec", "2 msec"]);
         let _ = writeln!(text, "link n{} -- n{node} delay {delay};", node - 1);

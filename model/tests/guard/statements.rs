@@ -349,7 +349,7 @@ impl Cell<'_> {
             Some(Role::Meets) => {
                 writeln!(self.text, "  waitfor {name}({said}) on time_out do skip; end; delay 10 msec;")
             }
-            // In these cells an extern task has no such ports.
+            // The extern tasks of random cells neither query nor answer.
             Some(Role::Asks | Role::Answers) | None => Ok(()),
         };
     }

@@ -61,7 +61,7 @@ impl App {
         }
     }
 
-    /// The node or task that the selected row is about, on the screens of what happened.
+    /// The node or task that the selected row is about, on the timeline and the event screen.
     fn place_here(&self, now: Moment) -> Option<Place> {
         match self.screen {
             Screen::Timeline => {
@@ -83,7 +83,8 @@ impl App {
 
     /// The task of an event or, for an event of a node or a link, the node that reported it.
     fn place_of(&self, entry: &Entry) -> Option<Place> {
-        // The names of an event are those of its moment; the first events of a node are older than its table of names.
+        // An event carries the names that were known when it occurred. The first events of a node are older than its
+        // table of names, so the latest incarnation's names are used.
         let of_node = self.store().incarnations_of(&entry.names.cell).filter(|one| one.node == entry.node);
         let incarnation = self.store().latest(&entry.names.cell, of_node.last()?.node_id)?;
         let names = &incarnation.names;

@@ -36,7 +36,7 @@ impl App {
         std::mem::take(&mut self.is_line_new).then(|| self.typed_before.clone())
     }
 
-    /// Opens a line. A filter begins with what it is.
+    /// Opens a line. The line for a filter begins with the screen's present filter.
     pub(super) fn open_entry(&mut self, kind: Kind) {
         let text = if kind == Kind::Filter { self.filter().to_owned() } else { String::new() };
         self.type_on(kind, text);

@@ -30,11 +30,11 @@ impl App {
         self.on_banner = has_banner && self.line(now) == before;
     }
 
-    /// Carries out the actions that are different while the cursor is on the banner. Returns whether this is one of them.
+    /// Carries out an action that means something else while the cursor is on the banner. Returns whether it did.
     pub(super) fn act_on_banner(&mut self, action: Action, now: Moment) -> bool {
         match (action, self.drawn.banner) {
             (Action::Up, _) => self.on_banner = true,
-            // The first row is still the selected one.
+            // The cursor moves from the banner to the first row, which is still selected.
             (Action::Down, _) => {}
             (Action::Enter, Some(place)) => self.go_to(place, now),
             _ => return false,

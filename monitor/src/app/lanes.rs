@@ -249,7 +249,8 @@ impl App {
         while chart.mark(to).is_none() && to > 0 && to < last {
             to = if back { to - 1 } else { to + 1 };
         }
-        // Before the first row with marks there is none to stay at, and the last row would be followed.
+        // Above the first row with marks no row can be fixed, and the timeline would follow the last row. So the
+        // first row with marks is fixed.
         if back && chart.mark(to).is_none() {
             to = (to..=last).find(|&row| chart.mark(row).is_some()).unwrap_or(last);
         }

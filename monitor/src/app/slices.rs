@@ -1,4 +1,4 @@
-//! The rows of the timeline: which events share one.
+//! The rows of the timeline, and which events share a row.
 
 use crate::store::timeline::{Gap, Mark, Timeline};
 use std::time::Duration;
@@ -15,12 +15,12 @@ pub enum Slice {
     Lost(Gap),
     /// Nothing happened for this long.
     Quiet(Duration),
-    /// Several rows of lanes that have no room: their marks.
+    /// Folded rows whose marks are all in lanes without room: the positions of these marks in [`Timeline::marks`].
     Elsewhere(Vec<usize>),
 }
 
 impl Slice {
-    /// The positions of its marks.
+    /// The positions of the row's marks.
     #[must_use]
     pub fn marks(&self) -> &[usize] {
         match self {
@@ -30,7 +30,7 @@ impl Slice {
     }
 }
 
-/// The rows, where those without a mark in sight are folded into one as long as they follow each other.
+/// Folds each sequence of rows whose marks are all in hidden lanes into one row.
 pub(super) fn folded(rows: Vec<Slice>, is_visible: impl Fn(usize) -> bool) -> Vec<Slice> {
     let mut out: Vec<Slice> = Vec::with_capacity(rows.len());
     for row in rows {
@@ -42,7 +42,7 @@ pub(super) fn folded(rows: Vec<Slice>, is_visible: impl Fn(usize) -> bool) -> Ve
             out.push(Slice::Marks(marks));
             continue;
         }
-        // Of the quiet time between two such rows nothing is in sight either.
+        // A quiet row between two rows of hidden lanes shows nothing, so it is folded, too.
         let is_quiet =
             |row: &Slice| matches!(row, Slice::Quiet(_)) || matches!(row, Slice::Marks(m) if m.is_empty());
         let before = out.iter().rposition(|row| !is_quiet(row));
@@ -57,7 +57,7 @@ pub(super) fn folded(rows: Vec<Slice>, is_visible: impl Fn(usize) -> bool) -> Ve
     out
 }
 
-/// The rows of the wanted marks. Without a zoom, marks out of sight that follow each other share a row from the start.
+/// The rows of the wanted marks. Without a zoom, consecutive marks in hidden lanes share a row from the start.
 pub(super) fn slices(
     timeline: &Timeline,
     wanted: impl Fn(&Mark) -> bool,

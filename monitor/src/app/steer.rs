@@ -91,7 +91,7 @@ impl App {
             Some(_) => None,
             None => Some((Box::new(self.live.clone()), now)),
         };
-        // The state of the pause is a copy of its own as soon as the nodes go on.
+        // As soon as the nodes send more frames, the paused state is a copy of its own, so its memory is reserved.
         self.history.reserve(if self.frozen.is_some() { self.live.weight() } else { 0 });
         // Only the covered times are kept, because the frames would stay in memory for as long as the pause lasts.
         let film = if self.frozen.is_some() { self.history.film() } else { None };

@@ -60,8 +60,9 @@ impl App {
     fn move_back(&mut self, now: Moment, go: impl FnOnce(&mut Player) + Send) {
         let paused = self.frozen.as_ref().map_or(now, |(_, at)| *at);
         if self.back.player().is_none() {
-            // A player has the state that is shown, and one that makes steps back quick; each takes a little more than it
-            // weighs. The third state is that of the pause.
+            // The history gives up memory for three stores: the player's shown state, the player's kept state for
+            // quick steps back, and the state at the pause. Each of the player's two takes a little more than its
+            // weight.
             self.history.reserve(self.live.weight() * 7 / 2);
             let Some(film) = self.history.film() else { return };
             self.back = Back(apart(move || {
@@ -102,14 +103,14 @@ impl Back {
 impl Drop for Back {
     fn drop(&mut self) {
         if let Some(player) = self.0.take() {
-            // The main thread would keep some of the pieces for its next allocations, between those that go back.
+            // If the main thread freed this memory, its allocator would keep pieces for later allocations.
             apart(move || drop(player));
         }
     }
 }
 
-/// Does work in a thread of its own, and waits for it. The allocator keeps what one thread allocates apart from the rest,
-/// so all of that memory goes back to the system once it is freed. Between allocations that stay it would not.
+/// Does work in a thread of its own, and waits for it. The allocator keeps the memory of different threads apart, so
+/// all memory of this work returns to the system once it is freed. Memory between longer-lived allocations would not.
 fn apart<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     let done = thread::scope(|scope| scope.spawn(work).join());
     done.unwrap_or_else(|panic| resume_unwind(panic))

@@ -47,7 +47,7 @@ pub(super) fn write(player: Player, wanted: &Wanted, mut out: impl Write) -> Res
             app.replay().map_or(Duration::ZERO, |player| player.film().stops()[stop].at)
         };
         end = at;
-        // Changes between two frames appear in the later one.
+        // Several changes between two frames appear together in the later frame.
         if at < next && stop + 1 < stops {
             continue;
         }

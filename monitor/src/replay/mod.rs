@@ -321,8 +321,8 @@ impl Player {
         Kept { stop, store: self.store.clone(), step: self.step.clone() }
     }
 
-    /// Drops every second kept state, and keeps fewer from now on, until the memory limit has room for the shown state, too.
-    /// Returns whether it has. The states of a very large cell leave room for the one that makes steps back quick alone.
+    /// Drops every second kept state, and doubles the distance between kept states, until the memory limit has room
+    /// for the shown state, too. Returns whether there is room: in a very large cell `near` alone may fill the limit.
     fn make_room(&mut self) -> bool {
         let weight = |kept: &Kept| kept.store.weight();
         let more = self.store.weight() + self.near.as_ref().map_or(0, weight);

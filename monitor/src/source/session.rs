@@ -45,7 +45,7 @@ pub(super) struct Talk<'a> {
     pub token: Option<&'a Token>,
     pub sink: &'a Sink,
     pub stop: &'a AtomicBool,
-    /// A callback that receives the node's identity, and the addresses that the node reports for other nodes.
+    /// Called with the node's identity and the addresses that the node reports for other nodes.
     pub told: &'a dyn Fn(&NodeIdentity, &Places),
 }
 
@@ -174,7 +174,7 @@ struct Session<'a, W> {
     with: &'a Talk<'a>,
     identity: NodeIdentity,
     writer: FrameWriter<W>,
-    /// Whether the node speaks version 1.1.
+    /// Whether the node speaks version 1.1 of the protocol or a later one.
     new: bool,
     /// Whether the node has been told what the monitor wants.
     begun: bool,

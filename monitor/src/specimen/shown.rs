@@ -16,7 +16,7 @@ use std::time::Duration;
 const FRAME: Duration = Duration::from_millis(33);
 /// How many nodes send frames between two drawn frames.
 const TELL: u64 = 10;
-/// Of this many ports of a node that sends a frame, one has changed since the node's previous frame: 5 %.
+/// One of this many ports of a node has changed since the node's previous frame: 5 %.
 const APART: usize = 20;
 
 /// A screen: the app, the last state of its nodes, and the two buffers whose difference a terminal gets.

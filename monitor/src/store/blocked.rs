@@ -14,7 +14,8 @@ use imrs_protocol::{NodeId, PortId, TaskId};
 use imrs_wire::obs::Liveness;
 use std::time::Duration;
 
-/// A wait that is shorter than this is no block. Without this bound the banner would flicker with every message.
+/// A wait that is shorter than this is not reported as a block. Without this bound the banner would flicker with
+/// every message.
 const SETTLED: Duration = Duration::from_millis(500);
 /// If a rendezvous has fewer complete rounds than this, it has no usual time.
 const A_RULE: usize = 5;
@@ -104,7 +105,7 @@ pub fn blockers(store: &Store, cell: &Name, now: Moment) -> Vec<Blocker> {
     let mut found: Vec<Blocker> =
         cycles(store, cell, now).into_iter().filter_map(|cycle| look.cycle(&cycle.tasks)).collect();
     let mut all = awaited(store, cell, now);
-    // The same tasks may wait for several tasks. If one of these has ended, it is the cause.
+    // The same tasks may wait for several tasks. A task among the latter that has ended is the cause.
     all.sort_by_key(|one| (std::cmp::Reverse(look.is_gone(one.task)), std::cmp::Reverse(one.by.len())));
     while !all.is_empty() {
         let first = all.remove(0);
@@ -118,7 +119,8 @@ pub fn blockers(store: &Store, cell: &Name, now: Moment) -> Vec<Blocker> {
     let lost = look.lost(&found);
     found.extend(lost);
     let cuts = look.cuts();
-    // Tasks that wait for each other over a cut link are no cycle: each sent what the other one waits for.
+    // Tasks that wait for each other over a cut link form no cycle, because each has sent the message for which the
+    // other one waits.
     found.retain(|one| {
         one.kind != Kind::Cycle || !cuts.iter().any(|cut| one.by.iter().all(|task| cut.by.contains(task)))
     });

@@ -7,36 +7,36 @@ use crate::name::Name;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// A packet is not delayed for so long.
+/// No packet is delayed for this long, so one that has not arrived by then is lost.
 const SILENCE: Duration = Duration::from_secs(2);
-/// Packets that were sent so soon after the last arrival may be those that arrived.
+/// A packet that was sent within this time after the last arrival may itself be the packet that arrived.
 const SETTLED: Duration = Duration::from_millis(500);
-/// Fewer packets than this may all be lost by chance.
+/// The least number of packets that must all be lost; fewer may be lost by chance.
 const PACKETS: u64 = 5;
-/// The most directions of links that are followed.
+/// The greatest number of link directions that are followed.
 const MOST: usize = 4096;
 
-/// Packets of a neighbour's previous incarnation, which still arrive after a restart, are routine. So are answers in handshakes
-/// that came too late, on a busy machine.
+/// Drop counters that grow routinely. Packets of a neighbour's previous incarnation still arrive after a restart, and
+/// on a busy machine answers in handshakes may come too late.
 pub(super) const ORDINARY: &[&str] = &["stale_incarnation", "unproven_session", "stale_session"];
 
-/// What is known of one direction of a link since something last arrived.
+/// What is known of one direction of a link since its last arrival.
 #[derive(Clone, Copy, Debug)]
 struct Silence {
     /// The last arrival, on the clock of the node that receives, in microseconds.
     heard_us: u64,
     /// The last arrival, on the monitor's clock.
     heard: Moment,
-    /// How many packets the other node had sent soon after the last arrival.
+    /// How many packets the sender had sent by a moment soon after the last arrival ([`SETTLED`]).
     before: u64,
-    /// When the other node had sent enough packets since then to call the link cut.
+    /// The moment at which the sender had sent enough packets after that ([`PACKETS`]) to call the link cut.
     enough: Option<Moment>,
 }
 
 /// The directions of all links.
 #[derive(Clone, Debug, Default)]
 pub struct Silences {
-    /// By the incarnations that receive and send.
+    /// The key is the receiving incarnation and then the sending one.
     known: BTreeMap<(IncarnationId, IncarnationId), Silence>,
 }
 
@@ -46,11 +46,12 @@ impl Silences {
         let Some(last) = &incarnation.last else { return };
         for link in &last.snapshot.links {
             let Some(peer) = store.latest(&incarnation.names.cell, link.peer) else { continue };
-            // Of a link over which nothing ever arrived, the silence is as long as the node runs.
+            // If nothing ever arrived over a link, the silence is as long as the node runs.
             let silent_us = link.heard_us.unwrap_or(last.snapshot.uptime_us);
             let heard_us = last.snapshot.mono_us.saturating_sub(silent_us);
             let to_here = (incarnation.id, peer.id);
-            // A node knows its clock to the microsecond; a thousand is for what it computes between two readings.
+            // Two reports of one arrival differ by less than a millisecond, because each is computed from two
+            // readings of the node's clock.
             if self.known.get(&to_here).is_none_or(|known| heard_us > known.heard_us.saturating_add(1_000)) {
                 let heard = last.at.saturating_sub(Duration::from_micros(silent_us));
                 let before = sent(peer, incarnation);
@@ -71,7 +72,7 @@ impl Silences {
 }
 
 impl Silence {
-    /// Notes that the other node has sent `count` packets by the moment `at`.
+    /// Notes that the sender has sent `count` packets by the moment `at`.
     fn has_sent(&mut self, at: Moment, count: u64) {
         if at.saturating_sub(self.heard) < SETTLED {
             self.before = count;
@@ -96,7 +97,7 @@ pub struct Cut<'a> {
     pub to: &'a NodeIncarnation,
     /// How many packets were sent since the last arrival.
     pub sent: u64,
-    /// How long ago that was.
+    /// The time since the last arrival.
     pub silent: Duration,
 }
 
@@ -109,7 +110,7 @@ pub fn cuts<'a>(store: &'a Store, cell: &Name, now: Moment) -> Vec<Cut<'a>> {
         for link in &last.snapshot.links {
             let Some(from) = store.latest(cell, link.peer) else { continue };
             let Some(silence) = store.silences.of(to, from) else { continue };
-            // Packets that are on their route when the states are taken arrive a moment later.
+            // Packets that are in flight when the states are taken arrive a moment later.
             let is_long = silence.enough.is_some_and(|enough| last.at.saturating_sub(enough) >= SILENCE);
             // A node that drops datagrams receives them.
             if is_long && is_awake(from, now) && !drops(to) {
@@ -121,8 +122,8 @@ pub fn cuts<'a>(store: &'a Store, cell: &Name, now: Moment) -> Vec<Cut<'a>> {
     found
 }
 
-/// Whether a node reports, and has done so for the last seconds. A node whose process was stopped hears nothing, though its
-/// links are whole.
+/// Whether a node reports at present, and has reported for the last seconds without a pause. A node whose process was
+/// stopped receives nothing, though its links work.
 fn is_awake(incarnation: &NodeIncarnation, now: Moment) -> bool {
     incarnation.presence(now) == Presence::Up && now.saturating_sub(incarnation.resumed) >= SILENCE
 }

@@ -136,7 +136,7 @@ pub struct NodeIncarnation {
     pub condition: Condition,
     /// The moment at which the node's last frame arrived.
     pub heard: Moment,
-    /// When its frames began again: when it was attached, or after the last silence.
+    /// When the node's frames began again: when it was attached, or after its last silence.
     pub(super) resumed: Moment,
     /// The names of its cell.
     pub names: Arc<Names>,

@@ -39,7 +39,7 @@ impl NodeIncarnation {
         })
     }
 
-    /// How often the link from this neighbour began to count as faulty.
+    /// How often the link from this neighbour has begun to count as faulty.
     fn faults_of(&self, peer: NodeId) -> u64 {
         let links = self.links.as_ref().map_or(&[][..], |told| &told.what.links);
         links.iter().find(|link| link.peer == peer).map_or(0, |link| link.integrity.faults)
@@ -57,7 +57,7 @@ impl Store {
         }
     }
 
-    /// Whether a neighbour that is seen says that this node has stopped in order.
+    /// Whether any neighbour reports that this node has stopped in order.
     #[must_use]
     pub fn is_said_to_have_stopped(&self, cell: &Name, node: NodeId) -> bool {
         let links = self.incarnations_of(cell).filter_map(|incarnation| incarnation.links.as_ref());

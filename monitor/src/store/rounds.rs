@@ -179,7 +179,7 @@ impl Histories {
         };
         let history = Arc::make_mut(self.of.entry((cell.clone(), port)).or_default());
         if event == Event::Rejoined {
-            // The member leaves the round in which it has waited so far.
+            // The member leaves the round in which it has waited until now.
             let waits = |round: &&mut Round| {
                 round.came.iter().any(|(of, _)| *of == task) && !round.ended.iter().any(|(of, _)| *of == task)
             };

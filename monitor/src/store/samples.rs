@@ -10,22 +10,22 @@ use std::sync::Arc;
 
 /// How many states are kept.
 pub(super) const STATES: usize = 60;
-/// No message was queued, so there was no slack.
+/// The slack of a port without queued messages.
 const NONE: u32 = u32::MAX;
 
 /// The last states of an incarnation.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Samples {
     rows: VecDeque<Row>,
-    /// How many states there were ever.
+    /// How many states were added so far, dropped ones included.
     pub count: u64,
 }
 
-/// One state, with the ports in its order.
+/// One state of a node. Both lists have an entry per port with a queue, in the order of the node's ports.
 #[derive(Clone, Debug)]
 struct Row {
     queued: Arc<[u16]>,
-    /// In microseconds; at most about an hour.
+    /// The slack of the most urgent message in microseconds, at most about an hour; [`NONE`] without a message.
     slack: Arc<[u32]>,
 }
 
@@ -63,8 +63,8 @@ impl Samples {
         self.count += 1;
     }
 
-    /// How many messages were queued at a port, and the slack of the most urgent one where any was queued, oldest first.
-    /// `snapshot` is the last state. Both are empty for a port without a queue.
+    /// The recent queue lengths of a port, and the slacks of the most urgent message in the states in which the queue
+    /// was not empty; both oldest first. `snapshot` is the last state. Both are empty for a port without a queue.
     pub fn of(&self, snapshot: &Snapshot, task: TaskId, port: PortId) -> (Vec<u16>, Vec<u64>) {
         let of = |one| ports_of(one).map(|view| (one.view.task, view.port));
         let at = snapshot.tasks.iter().flat_map(of).position(|one| one == (task, port));
@@ -80,7 +80,7 @@ impl Samples {
     }
 }
 
-/// The values; if they are the last ones again, those are kept instead.
+/// Returns the last values again if `values` are equal to them, so that rows share memory.
 fn shared<T: PartialEq>(last: Option<&Arc<[T]>>, values: Vec<T>) -> Arc<[T]> {
     last.filter(|last| ***last == *values).map_or_else(|| values.into(), Arc::clone)
 }
@@ -113,7 +113,7 @@ mod tests {
         assert_eq!(queued, expected);
         let expected: Vec<u64> = (40..100).filter(|number| number % 3 > 0).map(|us| us * 1_000).collect();
         assert_eq!(slack, expected);
-        // The node has got another table.
+        // The node has got another table, with one port less.
         state.tasks[1].view.ports.pop();
         samples.take(1_000, &state);
         assert_eq!(samples.of(&state, task, port).0.len(), 1);

@@ -76,7 +76,7 @@ pub fn timeline_of(store: &Store, cell: &Name, most: usize, wanted: impl Fn(&See
     let incarnations: BTreeSet<IncarnationId> =
         store.incarnations_of(cell).map(|incarnation| incarnation.id).collect();
     let offsets = offsets(store, cell);
-    // Sorted are these, which are smaller than marks.
+    // The sort is of these tuples, because they are smaller than marks.
     let mut found: Vec<(Moment, IncarnationId, &Seen)> = Vec::new();
     let mut gaps = Vec::new();
     for batch in store.trail().batches().rev().filter(|batch| incarnations.contains(&batch.incarnation)) {
@@ -273,8 +273,8 @@ fn find_causes(marks: &mut [Mark], apart: Duration) {
     }
 }
 
-/// Sorts the marks, which are in the order of their moments, topologically: each comes after its cause and after earlier
-/// marks of its task, otherwise by moment.
+/// Sorts the marks, which are in the order of their moments, topologically. Each mark comes after its cause and after
+/// earlier marks of its task; otherwise the moment decides.
 fn ordered(marks: Vec<Mark>) -> Vec<Mark> {
     // If every cause is earlier by its moment, too, the marks are in order already.
     let is_later = |(at, mark): (usize, &Mark)| mark.cause.is_some_and(|cause| cause >= at);
@@ -353,7 +353,8 @@ mod tests {
     }
 
     proptest! {
-        /// Marks that need no sorting are returned as they are. The plain form must return the same for all marks.
+        /// `ordered` returns marks that need no sorting as they are. For any marks it must return what `reordered`
+        /// returns.
         #[test]
         fn marks_in_order_are_sorted_as_all_others_are(
             drawn in prop::collection::vec((0_u64..40, 0_u16..6, prop::option::of(0_usize..60), any::<bool>()), 0..60),
@@ -361,7 +362,7 @@ mod tests {
             let mut drawn = drawn;
             drawn.sort_by_key(|(ms, ..)| *ms);
             let all = drawn.len();
-            // Most causes are earlier; some are later, and a mark is never its own.
+            // Most causes are earlier marks, and some are later ones. A mark is never its own cause.
             let cause = |at: usize, (_, _, cause, is_earlier): (u64, u16, Option<usize>, bool)| {
                 let cause = cause?;
                 if is_earlier { cause.checked_rem(at) } else { Some(cause % all).filter(|cause| *cause != at) }

@@ -13,7 +13,7 @@ use std::time::Duration;
 /// How many observations are kept, at most.
 pub const KEPT: usize = 32 * 1024;
 
-/// How many batches are searched for the event that led to a present state.
+/// How many of the latest batches are searched for the event that led to a task's present state.
 const LOOKED_AT: usize = 64;
 
 /// For how many incarnations events are counted, at most, and for how many tasks of each.

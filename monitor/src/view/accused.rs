@@ -31,7 +31,8 @@ pub(super) fn accuse(
         cells[0].1 = Ink::Alarm;
         let names = app.cell().and_then(|cell| app.store().names(&cell));
         let all = names.map_or(0, |names| names.tasks.len());
-        // A finding of the row itself is more important than the number of tasks that wait.
+        // A finding of the row itself is shown first, because it is more important than the number of tasks that
+        // wait.
         let is_innermost = row.depth == 1 || row.depth == 0 && !row.open;
         let holds = !blocker.by.is_empty() && blocker.kind != Kind::Cut;
         if width >= 60 && holds && is_innermost {

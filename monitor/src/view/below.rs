@@ -33,7 +33,7 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let fits = whole.iter().map(|(text, ..)| columns(text)).sum::<u16>() <= room;
     let pieces = if fits { whole } else { links(app, &cell, now, Delays::briefly_beside) };
     for (text, ink, place) in pieces {
-        // Half of a link's text says nothing, so a link is drawn as a whole or counted.
+        // A cut text about a link says nothing, so a link is drawn as a whole or only counted.
         is_cut |= x > 0 && columns(&text) + x + columns(MORE) > room;
         if is_cut {
             break;
@@ -72,7 +72,7 @@ fn links(app: &App, cell: &Name, now: Moment, words: Words) -> Vec<(String, Ink,
         None => store.is_said_to_have_stopped(cell, node),
     };
     let cuts = cuts(store, cell, now);
-    // The end at which nothing arrives.
+    // The node at the receiving end of a cut direction of the link.
     let cut_at = |a, b| {
         let found = cuts.iter().find(|cut| [(a, b), (b, a)].contains(&(cut.from.node_id, cut.to.node_id)));
         found.map(|cut| cut.to.node_id)
@@ -151,7 +151,7 @@ fn delay(app: &App, cell: &Name, ends: &[(NodeId, NodeId)], now: Moment, words: 
     (text, if is_enough { Ink::Plain } else { Ink::Warn })
 }
 
-/// As wide as the number of the links that have no room.
+/// The widest text for the number of links that have no room.
 const MORE: &str = " +12";
 /// How many links are shown at most; more have no room.
 const SHOWN: usize = 12;

@@ -31,7 +31,7 @@ pub(super) struct Needs {
     pub queue: u16,
     /// The width of the longest text of a state, with the usual texts.
     pub state: u16,
-    /// The same width if each node shows the shortest of its texts.
+    /// The same width for the shortest text of each node's state.
     pub shortest_state: u16,
     /// Two widths of the longest state that has sparklines behind it: with the usual texts, and if each node shows the shortest
     /// of its texts.
@@ -88,7 +88,7 @@ pub(super) fn columns(
             cells.pop();
         }
     }
-    // A state of one column stands for none, because a column without a width shares what remains.
+    // A table column of width 0 would share the remaining width. So the state column, if it is hidden, has width 1.
     let shared = (width + 2).saturating_sub(taken(&cells, 1, 0));
     let state = state_width(shared, state, needs);
     (cells.iter().map(|cell| column(cell, state)).collect(), cells)

@@ -59,7 +59,7 @@ pub(super) fn draw(
     let mut area = canvas.part(Rect { width: room, ..canvas.area });
     let mut x = 0;
     for (text, ink, hit) in &pieces {
-        // The first words of a long text say enough, its first letters do not.
+        // A cut text is drawn only if its first words have room; a few letters would say nothing.
         if x > 0 && columns(text).min(LEAST) > room.saturating_sub(x) {
             continue;
         }
@@ -112,7 +112,7 @@ fn completions(app: &App, x: u16, y: u16, canvas: &mut Canvas<'_>) {
     }
 }
 
-/// The columns that a text behind another one needs at least.
+/// The least number of columns for a text behind another one.
 const LEAST: u16 = 16;
 
 /// As many hints at keys as fit; always the hint at the help.

@@ -51,8 +51,8 @@ fn asked(app: &App) -> Option<Line> {
     Some(((*name).to_owned(), (*text).to_owned(), Ink::Head, Some(Hit::Column(title))))
 }
 
-/// A line, continued where its right text needs more than `width` columns. A left text that is wider than its column
-/// stands above the right text.
+/// Wraps the right text of a line at `width` columns. A left text that is wider than its column gets a line of its
+/// own above the right text.
 fn wrapped((left, right, ink, hit): Line, (left_width, width): (u16, u16)) -> Vec<Line> {
     let is_above = !right.is_empty() && canvas::columns(&left) > left_width;
     let (above, left) = if is_above { (Some(left), String::new()) } else { (None, left) };

@@ -101,7 +101,7 @@ fn table(app: &App, names: &Names, stages: &[Stage], whole_us: u64, canvas: &mut
     } else if width < 110 {
         (columns[1].width, columns[2].width) = (12, 12);
     }
-    // The first column of a wide table begins with spaces; that of a narrow one needs a column for the cursor before it.
+    // A narrow table needs a free column for the cursor. In a wide table the first column begins with spaces anyway.
     let indent = u16::from(width < 60);
     let inner = |canvas: &Canvas<'_>| Rect {
         x: canvas.area.x + indent.min(canvas.area.width),

@@ -210,7 +210,7 @@ fn wrapped(
 mod tests {
     use super::*;
 
-    /// Characters that are two columns wide: a line ends where the terminal has no more room, not after a number of bytes.
+    /// Lines are wrapped by screen columns, not by bytes: these characters are two columns wide.
     #[test]
     fn lines_are_as_long_as_the_screen_is_wide() {
         let wrap = |words: &[&str]| {
@@ -223,7 +223,7 @@ mod tests {
             ["\u{5de6}\u{8155} \u{5de6}\u{8155}", "ab"]
         );
         assert_eq!(wrap(&["abcd", "efghij"]), ["abcd", "efghij"]);
-        // The lines below are as far from the edge as the first one, whose title is wide.
+        // Continued lines are indented by the width of the title in screen columns.
         let mut lines = Vec::new();
         wrapped(
             "\u{5de6}: ",

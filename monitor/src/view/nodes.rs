@@ -31,8 +31,8 @@ pub(super) fn node(
     let presence = incarnation.presence(now);
     let sign = if presence.is_gone() { app.theme.glyphs.dead } else { fold_sign(app, row) };
     let restarts = restarts(app, incarnation);
-    // A node of the checker's counterexample has no process. A screen without states says here what came before, and
-    // a somewhat wider one has no room for a number that few people need.
+    // A node of the checker's counterexample has no process. A screen without the state column shows the restarts
+    // here; a somewhat wider one has no room for the process id, which few people need.
     let pid = match &restarts {
         Some((_, whole)) if screen < 60 => format!(" {whole}"),
         _ if incarnation.pid == 0 || (60..90).contains(&screen) => String::new(),
@@ -76,7 +76,7 @@ fn state_texts(
     match (presence, uptime, restarts) {
         (Presence::Up, Some(uptime), restarts) => {
             let up = format!("up {}", Span(uptime).in_seconds());
-            // Which incarnation runs is said first: it stays where the rest has no room.
+            // The incarnation comes first, because a narrow screen shows only the first words.
             let texts =
                 restarts.map_or_else(|| vec![up.clone()], |(_, all)| vec![format!("{all} {up}"), all]);
             (texts, Ink::Good)

@@ -40,7 +40,8 @@ pub(super) fn draw(
     let width = canvas.part(list).beside_scrollbar(1, window).area.width;
     let indent = 2.min(width);
     let inner = Rect { x: whole.x + indent, width: width - indent, ..list };
-    // The cells of visible rows only are computed, so that a cell of ten thousand ports costs no more.
+    // Only the cells of visible rows are computed, so that the time for a frame does not grow with the number of
+    // ports.
     let shown: Vec<_> = (rows.iter().enumerate().skip(window.first).take(height))
         .map(|(i, row)| (i, row, row_cells(app, row, (findings, blockers, &healthy), (whole.width, now))))
         .collect();
@@ -71,7 +72,7 @@ pub(super) fn draw(
     }
 }
 
-/// A row that is shown: its index, and its cells with the shorter texts of its state.
+/// A row that is shown: its index, the row, its cells, and shorter texts of its state.
 type Shown<'a> = (usize, &'a Row, (Cells, Vec<String>));
 
 /// How many columns the cells on the screen need.

@@ -49,7 +49,7 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     queue.draw(&mut canvas.below(above));
 }
 
-/// Before figures that the monitor counts itself. The line above has those that the node counts since its start.
+/// The label of figures that the monitor counts itself. The line above has the node's own counts since its start.
 const SINCE_ATTACHED: &str = " since attached: ";
 
 /// Draws the service times and the shares of the sources.
@@ -81,8 +81,8 @@ fn shares(incarnation: &NodeIncarnation, served: Option<&Service>, canvas: &mut 
     canvas.facts(2, &pieces);
 }
 
-/// Draws, for a watched port that competes with other ports, how often it was bypassed, and the limit of that (D58). This
-/// is a state of now, as the rest of the first row.
+/// Draws, for a watched port that competes with other ports, how often it was bypassed, and the limit of that (D58).
+/// This is a present state, like the rest of the first row.
 fn bypassed(
     incarnation: &NodeIncarnation,
     task: TaskId,
@@ -345,7 +345,7 @@ const fn column(which: usize, width: u16) -> Column {
         4 => Column::right("REMAIN", 8),
         5 => Column::left(
             "TIME LEFT",
-            // The verdict needs its words more than the bar its length.
+            // On a narrow screen the bar is shortened first, because the words of the verdict are more important.
             match width {
                 0..60 => 0,
                 60..80 => 10,

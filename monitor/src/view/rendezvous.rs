@@ -152,9 +152,9 @@ fn heading(app: &App, meeting: &Meeting, width: u16) -> Line {
     line
 }
 
-/// The heads of the matrix's columns, all of one width: the names of the members; or their ends, if their beginnings are
-/// alike (`task0`, `task6`). A matrix of many members has no room, and no heads. The rows name the awaited members in any
-/// case.
+/// The column heads of the matrix, all of one width: the names of the members, or their last letters if their first
+/// ones are alike (`task0`, `task6`). A matrix of very many members has no room and no heads; each row still names
+/// the awaited members.
 fn heads(meeting: &Meeting, room: usize) -> Vec<String> {
     let names = || meeting.members.iter().map(|member| member.name.shown());
     let most = (room / meeting.members.len().max(1)).saturating_sub(1);

@@ -79,7 +79,7 @@ fn lanes(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
                 let marks: Vec<&Mark> = places.iter().map(|&i| &chart.timeline.marks[i]).collect();
                 if let Some(time) = time {
                     let text = time.to_string();
-                    // Beside the cursor, a long time loses its last digit.
+                    // Beside the cursor, a long time is drawn without its last digit.
                     let text = if at == chart.bottom { format!("{:>10}", cut(text.trim(), 9)) } else { text };
                     canvas.at(0, y, AXIS, &text, if time.exact { Ink::Plain } else { Ink::Dim });
                 }
@@ -301,8 +301,8 @@ impl Sheet {
         }
     }
 
-    /// Shows a row without marks in the lanes in sight: the worst of its events and its task, how many more there are,
-    /// and at which side their lanes are.
+    /// Draws a row whose marks are all in hidden lanes: its most severe event with the task, how many more events
+    /// there are, and at which side their lanes are.
     fn elsewhere(&self, app: &App, chart: &Chart, marks: &[&Mark], y: u16, canvas: &mut Canvas<'_>) {
         self.lines(app, y, canvas);
         let worst = marks.iter().rev().max_by_key(|mark| level_of(mark.seen.what.event));

@@ -9,7 +9,7 @@ use imrs_protocol::{CommTask, Input, NodeTable, Outbox, Packet, Signal, Ticks, T
 
 struct Nowhere;
 
-// SAFETY: it hands out no memory at all, which an allocator may do.
+// SAFETY: this allocator returns no memory at all, which the contract of an allocator permits.
 unsafe impl GlobalAlloc for Nowhere {
     unsafe fn alloc(&self, _: Layout) -> *mut u8 {
         core::ptr::null_mut()
@@ -36,7 +36,7 @@ impl Outbox for Silence {
     fn disarm(&mut self, _: TimeId) {}
 }
 
-/// Lets a tick pass, so that the machine is built in.
+/// Lets a tick pass: a call of the state machine, so that its code is compiled into this program.
 pub fn tick(task: &mut CommTask, table: &NodeTable) {
     task.handle(table, task.now() + Ticks(1), &Input::Time, &mut Silence);
 }

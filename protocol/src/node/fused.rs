@@ -1,4 +1,4 @@
-//! Fused steps within a node: which two tasks a request concerns. `task/fused.rs` says what they do.
+//! Fused steps within a node: finds the two tasks that a request concerns. `task/fused.rs` carries out the step.
 
 mod gathering;
 
@@ -12,7 +12,7 @@ use crate::request::{Request, Target};
 use crate::table::{Ends, NodeTable};
 use crate::task::{CommTask, Get, OfTask, Outbox};
 
-/// What a request concerns that one fused step may carry out: one other task of the same node (D176).
+/// A request that one fused step may carry out, with the one other task of the same node that it concerns (D176).
 #[derive(Clone, Copy, Debug)]
 pub struct Fusible<'a> {
     ends: Ends<'a>,
@@ -21,7 +21,8 @@ pub struct Fusible<'a> {
 }
 
 impl<'a> Fusible<'a> {
-    /// What `request` of `task` concerns. `None` if the request concerns no other task of the node, or several.
+    /// Finds the other task that `request` of `task` concerns. `None` if the request concerns no other task of the node, or
+    /// several.
     #[must_use]
     #[inline(always)]
     pub fn of(table: &'a NodeTable, task: TaskId, request: &Request) -> Option<Self> {
@@ -39,8 +40,8 @@ impl<'a> Fusible<'a> {
         Some(Self { ends: Ends { port, own, peer }, other: table.place(peer.task)? })
     }
 
-    /// The task `own` answers a command of `other`, and then waits for its next message or takes it: what its REPLY and its GET do,
-    /// one after the other (D200). Otherwise as [`step`](Self::step).
+    /// Carries out a REPLY of the task `own` to `other` and the next GET of `own` in one step: `own` then takes its next message,
+    /// or waits for it (D200). Conditions and result are those of [`step`](Self::step).
     #[inline(always)]
     pub fn reply_and_get(
         self,
@@ -57,8 +58,9 @@ impl<'a> Fusible<'a> {
         is_done
     }
 
-    /// The task `own` takes the request as one step together with `other`. Both must stand at the same time, and
-    /// `other` must have taken all that `own` sent before. False, and nothing has changed, if anything about it is unusual.
+    /// Carries out the request of the task `own` in one step together with `other`. The clocks of both tasks must show the same
+    /// time, and `other` must have taken everything that `own` sent before. Returns false, and changes nothing, if the request
+    /// needs small steps.
     #[inline(always)]
     pub fn step(
         self,
@@ -96,8 +98,8 @@ impl Node {
         fusible.step(own, other, request, out)
     }
 
-    /// Takes a REPLY and the GET that its task makes next as one fused step (D200): what two [`step`](Self::step)s at the node's time
-    /// do. False, and nothing has changed, if anything is unusual.
+    /// Takes a REPLY and the GET that its task makes next as one fused step, with the effects of two [`step`](Self::step)s at the
+    /// node's time (D200). Returns false, and changes nothing, if the two need small steps.
     pub fn reply_and_get(
         &mut self,
         task: TaskId,
@@ -111,7 +113,7 @@ impl Node {
         fusible.reply_and_get(table, (own, other), requests, out)
     }
 
-    /// Of its own, so that messages and answers do not pay for it.
+    /// A separate function that is not inlined, so that the code for messages and answers stays short.
     #[inline(never)]
     fn gather(&mut self, task: TaskId, request: &Request, out: &mut impl NodeOutbox) -> bool {
         let Parts { table, tasks, .. } = &mut self.parts;

@@ -19,14 +19,15 @@ use alloc::collections::VecDeque;
 enum Kind {
     /// Time has passed that the task has not handled.
     Time,
-    /// A time-out of the Timer.
+    /// The node's Timer, which reports that a delay or timer has ended.
     Timer,
     /// Another task, or the node.
     Others,
 }
 
 impl Node {
-    /// Lets time pass as [`NodeInput::Time`](super::NodeInput::Time) does, but queues it for tasks that then have something due.
+    /// Lets time pass as [`NodeInput::Time`](super::NodeInput::Time) does, but queues the passed time as an input of each task
+    /// that then has something due.
     pub fn let_pass(&mut self, now: Instant, out: &mut impl NodeOutbox) {
         let Some(elapsed) = self.begin_time(now, out) else { return };
         for at in 0..self.parts.tasks.len() {

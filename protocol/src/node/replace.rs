@@ -21,8 +21,8 @@ impl Node {
 
     /// From now on the node sends by the routes of `next`, and still takes packets that come by the former routes.
     /// Requests, waiting messages and dedup entries stay. Waiting packets go by the new routes, and the budget of each
-    /// waiting command reserves the new way back; a message or packet that then has no time left is dropped as expired. To
-    /// be called between two inputs.
+    /// waiting command reserves the new way back; a message or packet that then has no time left is dropped as expired.
+    /// Call this between two inputs.
     ///
     /// # Errors
     /// The node keeps its own table if `next` has other positions, or no later epoch.

@@ -34,8 +34,9 @@ pub struct Shortcut {
     pub act: Act,
     /// The greatest number of operations that `act` stands for.
     pub count: u8,
-    /// Where the script goes on, unless `act` itself says it: behind a jump that follows. For an [`Op::Reply`] that sends its operands,
-    /// the [`Op::Get`] that follows once it is accepted, if nothing else happens in between (D200).
+    /// Where the script continues, unless `act` itself determines it: after `act` and a jump that follows. For an [`Op::Reply`]
+    /// that sends its operands: the [`Op::Get`] that the script reaches once the reply is accepted, if no other request comes
+    /// before (D200).
     pub next: Landing,
 }
 
@@ -218,10 +219,11 @@ fn owners(program: &Program) -> Vec<Option<Option<u8>>> {
     owners.into_iter().zip(shared).map(|(owner, shared)| owner.filter(|_| !shared)).collect()
 }
 
-/// The GET to which a script comes from `to` after a statement that is done, if only jumps and the beginnings of statements are before
-/// it, each of which `begins` gets; otherwise where that ends. Each wait begins with a full limit of operations, so none is counted.
+/// Follows the code from `to` after a statement with the outcome `Done`: through jumps, branches and beginnings of statements,
+/// which `begins` gets. Returns the first other operation, such as a GET. These operations are not counted, because each wait
+/// begins with a full limit of operations.
 pub fn get_after(program: &Program, mut to: Address, mut begins: impl FnMut(Address)) -> Address {
-    // The beginning of a statement asks for a boundary only after something else than an acceptance.
+    // No message can have come since the acceptance, so the next statement need not ask whether a handler runs first.
     let is_plain = program.fusing == Fusing::Fused || !program.is_interruptible();
     for _ in 0..MOST_BRANCHES {
         to = match program.code.get(usize::from(to)) {

@@ -77,10 +77,10 @@ impl ScriptHost {
         self.steps = 0;
     }
 
-    /// The GET that the script makes next if the REPLY is accepted that [`next`](Self::next) returned last, for a driver that makes
-    /// both at once (D200) and then calls [`made`](Self::made). `None` if something else comes first, or the script has taken nearly
-    /// all its steps. The driver's outbox does not hear about the acceptance, the GET and the statements before it: of those,
-    /// [`statements_before_get`](Self::statements_before_get) tells.
+    /// Assumes that the REPLY that [`next`](Self::next) returned last is accepted: the GET that the script then makes. A driver
+    /// may make both at once (D200), and then calls [`made`](Self::made). `None` if another operation comes first, or the script
+    /// is near its limit of steps. The driver's outbox gets neither the acceptance, nor the GET, nor the statements in between,
+    /// which [`statements_before_get`](Self::statements_before_get) gives.
     #[must_use]
     #[inline]
     pub fn get_after_reply(&self) -> Option<(Address, Request)> {
@@ -90,14 +90,14 @@ impl ScriptHost {
         self.script.get_after_reply(&self.program, &self.code)
     }
 
-    /// Passes the statements to `begins` that begin between the REPLY and the GET of [`get_after_reply`](Self::get_after_reply).
+    /// Passes to `begins` each statement between the REPLY and the GET of [`get_after_reply`](Self::get_after_reply).
     pub fn statements_before_get(&self, begins: impl FnMut(Address)) {
         if let Some(frame) = self.script.top() {
             get_after(&self.program, frame.at.saturating_add(1), begins);
         }
     }
 
-    /// The REPLY was accepted, and the GET of this operation is made.
+    /// Notes that the REPLY was accepted, and that the driver has made the GET at this address.
     #[inline]
     pub fn made(&mut self, at: Address) {
         self.steps += 1;
@@ -155,8 +155,8 @@ impl ScriptHost {
 }
 
 impl Script {
-    /// The GET that the script makes next, and its operation, if the REPLY that it waits for is accepted and nothing else happens
-    /// before that GET but beginnings of statements (D200).
+    /// Assumes that the REPLY whose answer the script awaits is accepted: the address of the script's next GET, and its request.
+    /// `None` if the script comes to another operation first, apart from jumps and beginnings of statements (D200).
     #[must_use]
     #[inline]
     pub fn get_after_reply(&self, program: &Program, code: &Code) -> Option<(Address, Request)> {
@@ -171,7 +171,7 @@ impl Script {
         }
     }
 
-    /// The REPLY was accepted, and the GET of [`get_after_reply`](Self::get_after_reply) is made: the script waits in its operation.
+    /// Notes that the REPLY was accepted and that the driver has made the GET at this address, in which the script now waits.
     #[inline]
     pub fn waits_in_get(&mut self, at: Address) {
         if let Some(frame) = self.frames.get_mut(usize::from(self.level)) {

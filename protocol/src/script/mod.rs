@@ -38,11 +38,11 @@ use core::fmt;
 use interpreter::Interpreter;
 use serde::{Deserialize, Serialize};
 
-/// How many operands a script may hold at once: those of the longest message, and an expression.
+/// How many operands a script may hold at once: the fields of the longest message, and one expression.
 pub const MAX_OPERANDS: usize = MAX_MESSAGE + CHECK_DEPTH;
 /// How many operations a script may run from one input to the next operation that waits.
 pub const STEP_LIMIT: u32 = 4096;
-/// Most steps of a script for one input from outside since its last message (D95): [`ScriptHost`] ends one that takes more.
+/// How many steps a script may take after its last message or outside input. [`ScriptHost`] ends a script that takes more (D95).
 pub const HOST_LIMIT: u32 = 10_000;
 /// How many activations a script may have: the task's own thread, and the handlers that the communication task nests (D15).
 pub const MAX_THREADS: usize = ServiceOrder::LEVELS + 3;
@@ -168,13 +168,13 @@ enum Wait {
     Boundary,
     /// The end of the activation's action.
     Working,
-    /// The answer to [`Request::Done`]. The action ended in this way.
+    /// The answer to [`Request::Done`]. The value says how the action ended.
     Done(Acted),
-    /// The end of the handlers above this activation. Its own action has already ended in this way.
+    /// The end of the handlers above this activation. Its own action has already ended, as the value says.
     Kept(Acted),
     /// The driver's choice among this many alternatives.
     Choice(u16),
-    /// The answer to a Done made just before the call of this handler arrived. Then the handler begins with this message.
+    /// The answer to a [`Request::Done`] made just before this handler was called. The handler then begins, with this message.
     Entering(Option<Inbound>),
     /// The answer to [`Request::Abandon`].
     Abandon(Anew),
@@ -315,7 +315,7 @@ impl Script {
         }
     }
 
-    /// Ends the script with a fault. A driver ends a script so that never waits.
+    /// Ends the script with a fault. A driver calls this if the script runs on without a wait.
     pub fn stop(
         &mut self,
         program: &Program,

@@ -334,7 +334,7 @@ pub enum Op {
     Assert,
     /// Ends the task, for one of [`Program::reasons`].
     Abort(u16),
-    /// Pushes a number that the driver chooses, below this one.
+    /// Pushes a number that the driver chooses. The number is below this limit.
     Choose(u16),
     /// The handler ends; the activation that it interrupted goes on (R16).
     HandlerEnd,

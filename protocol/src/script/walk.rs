@@ -136,7 +136,8 @@ impl Script {
         }
     }
 
-    /// Drops the messages that can no longer be answered: a reply to such a message ends like a reply to none.
+    /// Drops the messages that can no longer be answered: a reply to such a message has the same outcome as a reply
+    /// without a message.
     pub fn bury(&mut self, answerable: impl Fn(&ReplyTo) -> bool) {
         for thread in &mut self.frames {
             thread.message = thread.message.filter(&answerable);

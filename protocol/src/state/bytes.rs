@@ -11,7 +11,7 @@ use core::fmt;
 /// The numbers to which packed ids are relative.
 #[derive(Clone, Copy, Debug)]
 pub struct Frame<'a> {
-    /// For each port, the least round that is that any task of the cell uses.
+    /// For each port, the least round that any task of the cell uses.
     pub rounds: &'a [Round],
     /// For each task, the next sequence number that the task will use.
     pub sequences: &'a [Seq24],

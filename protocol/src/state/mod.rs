@@ -54,7 +54,8 @@ pub trait Walk {
     }
 
     /// Visits an instant that follows from others on the same clock. As a number it is not packed: a pass that reads calls
-    /// `derive` instead. As a symbol it is packed, because `derive` may ask much of the zone.
+    /// `derive` instead. As a symbol it is packed, because `derive` may need many comparisons of symbols, which are
+    /// slow.
     fn derived(&mut self, instant: &mut Instant, derive: impl FnOnce() -> Instant) {
         if Self::READS {
             *instant = derive();

@@ -20,7 +20,8 @@ impl CellTable {
         for (place, &at) in sorted.iter().enumerate() {
             rank[at] = place;
         }
-        // The owner of a port and each member of a waitfor hear from all other ends. A user hears from the owner alone.
+        // The owner of a port and each member of a rendezvous hear from all other ends. A user hears from the owner
+        // alone.
         let all = |at: usize| at == 0 || port.decl.usage == Usage::Waitfor;
         let slot =
             |of: usize, at: usize| if all(of) { rank[at] - usize::from(rank[of] < rank[at]) } else { 0 };

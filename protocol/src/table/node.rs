@@ -12,8 +12,8 @@ pub struct NodeTable {
     pub cell: Arc<CellTable>,
     /// The node to which the table belongs.
     pub node: NodeId,
-    /// Another table of the cell, by whose routes packets may come: the table that will replace the node's table, or the
-    /// table that the node's table replaced (D184).
+    /// Another table of the cell: the one that will replace the node's table, or that the node's table replaced. The
+    /// node also accepts packets that follow the routes of this table (D184).
     pub(crate) other: Option<Arc<CellTable>>,
 }
 

@@ -23,7 +23,7 @@ pub struct Party {
     pub place: u16,
     /// The position of the task among those of its node, ascending by task.
     pub(crate) local: u16,
-    /// For a `waitfor`: the position of the port among those of the task's waitfors.
+    /// For a `waitfor` (rendezvous): the position of the port among the task's ports with this usage.
     pub(crate) meeting: u16,
     /// The other ends to which this end sends and from which it hears, ascending by task.
     pub(crate) peers: Box<[Peer]>,
@@ -102,7 +102,8 @@ pub struct Port {
     pub(crate) node: Option<NodeId>,
     /// The hash that the checksum of each of the port's packets covers first (D47).
     pub hash: u32,
-    /// The safety margin of a `waitfor` (D2, D56); zero on other ports.
+    /// The margin of a `waitfor`: the patience that each arrival must have left at a release (D2, D56). Zero on other
+    /// ports.
     pub margin: Ticks,
 }
 

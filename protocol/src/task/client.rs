@@ -40,7 +40,7 @@ pub(crate) struct Client {
     overdue: Option<Overdue>,
 }
 
-/// The command that timed out last. The field exists for the variant that accepts late replies, under which the command's
+/// The command that timed out last. The field exists for the rule variant that accepts late replies, under which the command's
 /// answer may still come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 struct Overdue {
@@ -132,7 +132,7 @@ impl Client {
         self.requests[usize::from(request)].phase == Phase::Closed
     }
 
-    /// [`send`](Self::send) in a fused step, for one recipient that has already taken the message.
+    /// [`send`](Self::send) in a fused step (one step for sender and receiver): the only recipient has already taken the message.
     #[inline(always)]
     pub fn open_fused(
         &mut self,
@@ -285,7 +285,7 @@ fn ask(
     request.sent(recipient, id, packets);
 }
 
-/// Sends a message with its staged fragments to one task.
+/// Sends a message to one task, with the fragments that the own task has handed over for it.
 fn send_packets(
     step: &mut Step<'_, impl Outbox>,
     place: usize,

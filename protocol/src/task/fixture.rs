@@ -14,7 +14,7 @@ use alloc::vec::Vec;
 
 /// On this port, A may send commands to B, with retransmissions.
 pub(super) const MOVE: PortId = PortId(0);
-/// The port of a waitfor of A and B.
+/// The port of a rendezvous of A and B.
 pub(super) const LIFT: PortId = PortId(1);
 /// The port of the couple's heartbeats: A is the primary, B the standby.
 pub(super) const ALIVE: PortId = PortId(2);

@@ -26,7 +26,7 @@ use crate::table::Ends;
 use crate::ticks::Ticks;
 
 impl Machines {
-    /// Whether nothing could interrupt the task's own thread, if it waits now or later.
+    /// Whether no handler runs, and nothing that is pending can interrupt the task's own thread while it waits.
     #[inline(always)]
     fn is_plain(&self) -> bool {
         self.lease.is_none()

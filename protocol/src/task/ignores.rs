@@ -25,20 +25,21 @@ impl CommTask {
             && !self.outstanding().any(|(_, _, id)| id == packet.id)
     }
 
-    /// Whether this task never waits again in `round` of a waitfor port, or takes no part in that waitfor.
+    /// Whether this task never waits again in `round` of the rendezvous at a port, or takes no part in that
+    /// rendezvous.
     #[must_use]
     pub fn is_over(&self, port: PortId, round: Round) -> bool {
         let meeting = self.own.meeting(port);
         meeting.is_none_or(|meeting| self.machines.meetings.at(meeting).never_again(round))
     }
 
-    /// The round of a waitfor port whose CONFIRM this task has yet to send, or to send again.
+    /// The round of the rendezvous at a port for which this task has yet to send CONFIRM, or to send it again.
     #[must_use]
     pub fn owes(&self, port: PortId) -> Option<Round> {
         self.machines.meetings.at(self.own.meeting(port)?).owes()
     }
 
-    /// The incarnation in which a member of a waitfor port was when this task last heard from it.
+    /// The incarnation of a member of a rendezvous from which this task last heard.
     #[must_use]
     pub fn heard_in(&self, table: &NodeTable, port: PortId, member: TaskId) -> Option<Incarnation> {
         self.machines.meetings.at(self.own.meeting(port)?).heard_in(table.port(port)?, member)

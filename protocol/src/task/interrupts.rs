@@ -7,7 +7,7 @@
 //! | [`conclude`](Interrupts::conclude) | a wait ended: signal it now, or keep the end until the handlers above have ended |
 //! | [`is_interruptible`](Interrupts::is_interruptible) | whether a handler may begin now |
 //! | [`outranks`](Interrupts::outranks) | whether something of a given rank may interrupt the running activation |
-//! | [`begin`](Interrupts::begin), [`resume`](Interrupts::resume) | a handler interrupts the running activation; it ends |
+//! | [`begin`](Interrupts::begin), [`resume`](Interrupts::resume) | a handler interrupts the running activation; a handler ends |
 //! | [`delay`](Interrupts::delay), [`start`](Interrupts::start), [`stop`](Interrupts::stop) | arm or disarm the node's Timer |
 //! | [`time_is_over`](Interrupts::time_is_over) | the node's Timer reports an end |
 //!
@@ -62,7 +62,7 @@ pub(crate) struct Interrupts {
     /// A stack of the interrupted activations, `depth` deep: the task's own thread, then handlers.
     interrupted: Box<[Activation]>,
     depth: u8,
-    /// Whether the handler that began last took a capped message (D76).
+    /// Whether the last handler began for a capped message: one that was rejected as often as possible (D76).
     capped_last: bool,
     /// The number that the next start of a delay or timer gets. The Timer's report carries it, so that a report of an
     /// earlier start is recognised.
@@ -196,12 +196,14 @@ impl Interrupts {
         if self.is_idle_get() { Instant::NEVER } else { now }
     }
 
-    /// The turn of a capped message. Among capped messages, the message with the earliest first rejection goes first.
+    /// The first part of the key by which a capped message is offered. Of capped messages, the one that was rejected first goes
+    /// first.
     pub fn capped_turn(&self, rejected_first: u64) -> Turn {
         if self.capped_last { Turn::CappedAgain(rejected_first) } else { Turn::Capped(rejected_first) }
     }
 
-    /// Notes the turn of the offer that was taken.
+    /// Notes whether the offer that was taken was a capped message: after one, messages that outrank by their own rank go first
+    /// (D76).
     pub fn note_turn(&mut self, turn: Turn) {
         match turn {
             Turn::Capped(_) | Turn::CappedAgain(_) => self.capped_last = true,

@@ -44,7 +44,7 @@ use serde::{Deserialize, Serialize};
 /// How many recent answers a task remembers, because an echo of each of them may still come.
 const ANSWERS: usize = 4;
 
-/// The present role of one task of the couple.
+/// The present role of the task, which is the primary or the standby of a couple.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 enum Post {
     /// The task does not act. It waits for the lease or for the take-over.
@@ -65,7 +65,7 @@ struct Answered {
     until: Instant,
 }
 
-/// The lease state of one task of a couple.
+/// The lease state of one task of a couple: of the primary or of the standby.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Lease {
     /// The position of the couple in the cell.
@@ -100,7 +100,7 @@ pub(crate) struct Lease {
     call: Option<Call>,
 }
 
-/// The codes that stand in the answer to a heartbeat for the role of its sender.
+/// The codes for the sender's role in the answer to a heartbeat.
 const WAITS: u8 = 0;
 const LEASED: u8 = 1;
 const ALONE: u8 = 2;
@@ -108,7 +108,7 @@ const ALONE: u8 = 2;
 const ECHO_BYTES: usize = 4;
 
 impl Lease {
-    /// The task's side of its couple at the start of an incarnation; `None` if the task is in no couple.
+    /// The lease state at the start of an incarnation; `None` if the task is neither a primary nor a standby.
     pub fn new(table: &NodeTable, own: &Own) -> Option<Self> {
         let heartbeats = own.endpoints.iter().rfind(|endpoint| endpoint.role == Role::Heartbeats)?;
         let (couple, decl) = couple_of(table, heartbeats.port, own.task)?;
@@ -180,7 +180,7 @@ impl Lease {
         &self.said
     }
 
-    /// Whether a fence or a take-over is pending that the task has not been signalled yet.
+    /// Whether the task has yet to be signalled that it lost its lease (a fence), or that it takes over.
     pub const fn called(&self) -> bool {
         self.call.is_some()
     }

@@ -26,7 +26,7 @@ pub(crate) struct Machines {
     pub server: Server,
     pub interrupts: Interrupts,
     pub meetings: Meetings,
-    /// The task's side of its couple, if there is one (D61).
+    /// The lease state, if the task is the primary or the standby of a couple (D61).
     pub lease: Option<Lease>,
 }
 
@@ -41,7 +41,7 @@ impl Machines {
         }
     }
 
-    /// Whether the lease has a pending call for the task: a fence or a take-over.
+    /// Whether the task has yet to hear that it lost its lease (a fence), or that it takes over.
     fn called(&self) -> bool {
         self.lease.as_ref().is_some_and(Lease::called)
     }
@@ -139,7 +139,7 @@ impl Machines {
         self.grant(step, granted);
     }
 
-    /// The lowest request from position `from` on at which something is due.
+    /// The position of the first outstanding request, from `from` on, whose time_out or retransmission is due.
     fn due_request(&self, from: u16, now: Instant) -> Option<u16> {
         self.interrupts
             .open_requests()
@@ -276,7 +276,7 @@ impl Machines {
         }
     }
 
-    /// Handles a statement boundary of the running activation (D15).
+    /// Handles a point between two statements of the running activation, where a handler may begin (D15).
     pub fn boundary(&mut self, step: &mut Step<'_, impl Outbox>) {
         let open = self.interrupts.is_interruptible(true, self.called());
         if !(open && self.offer(step)) {

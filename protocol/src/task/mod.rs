@@ -274,13 +274,14 @@ impl CommTask {
         self.machines.server.owed(self.own.inbox(port)?, task)
     }
 
-    /// Whether this task may act now: it is in no couple, holds the lease of its couple, or has taken over (D61).
+    /// Whether this task may act now: it is neither primary nor standby, holds the lease, or has taken over (D61).
     #[must_use]
     pub fn is_active(&self) -> bool {
         self.machines.lease.as_ref().is_none_or(Lease::acts)
     }
 
-    /// The epoch under which this task acts, or the newest epoch of which it has heard; `None` if it is in no couple.
+    /// The epoch under which this task acts, or the newest epoch of which it has heard; `None` if it is neither primary nor
+    /// standby.
     #[must_use]
     pub fn epoch(&self) -> Option<u8> {
         self.machines.lease.as_ref().map(Lease::epoch)

@@ -30,7 +30,7 @@ pub(crate) enum Role {
     Replies,
     /// The task receives third-party replies.
     Hears,
-    /// The port carries the heartbeats of the task's couple (D61).
+    /// The port carries the heartbeats between this task, a primary or standby, and its partner (D61).
     Heartbeats,
 }
 
@@ -40,7 +40,7 @@ pub(crate) struct Endpoint {
     pub port: PortId,
     pub role: Role,
     pub counters: Counts,
-    /// Fragments staged for the next message or answer (D28).
+    /// Fragments that the task has handed over for its next message or answer, which is not sent yet (D28).
     pub staged: Parts,
 }
 
@@ -65,7 +65,8 @@ pub(crate) struct Own {
     /// The task's clock, to which all its instants belong.
     pub now: Instant,
     pub next_sequence: Seq24,
-    /// The end of the quarantine of a restarted task (D49).
+    /// Until this instant a restarted task takes no commands and arrivals from other nodes: they may be for its earlier
+    /// incarnation (D49).
     pub quarantine_until: Instant,
     /// The ranks that the task has set (D16).
     pub order: ServiceOrder,
@@ -161,7 +162,7 @@ impl Own {
         if let Role::Asks(request) = self.role(port)? { Some(request) } else { None }
     }
 
-    /// The position of the task's rendezvous on a port; `None` if the port is no waitfor.
+    /// The position of the task's rendezvous on a port; `None` for a port with another usage.
     pub fn meeting(&self, port: PortId) -> Option<u16> {
         if let Role::Meets(meeting) = self.role(port)? { Some(meeting) } else { None }
     }
@@ -173,7 +174,7 @@ impl Own {
         if let Role::Receives(inbox) = role { Ok(inbox) } else { Err(Fault::WrongUsage) }
     }
 
-    /// Checks that all fragments of the staged message are here. If one is missing, drops them all.
+    /// Checks that the task has handed over all fragments of its next message. If one is missing, drops them all.
     pub fn staged(&mut self, endpoint: usize) -> Result<(), Fault> {
         let staged = &mut self.endpoints[endpoint].staged;
         if staged.fragments().is_some() {
@@ -205,7 +206,7 @@ impl Own {
         }
     }
 
-    /// How often a port may be bypassed before it is served first (D58).
+    /// How often GETs may serve other ports although this port has a message, before this port is served first (D58).
     pub fn bypass_limit(&self) -> u16 {
         index(self.endpoints.len() + self.order.ranked().len()).max(4)
     }

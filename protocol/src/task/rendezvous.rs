@@ -78,7 +78,7 @@ impl Member {
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Rendezvous {
     port: PortId,
-    /// Whether meetings are numbered. Under the variant without rounds, all meetings have the same number (D3).
+    /// Whether meetings are numbered. Under the rule variant without rounds, all meetings have the same number (D3).
     numbered: bool,
     /// The round that this task announced last. While it waits, it waits in this round.
     announced: Round,
@@ -144,7 +144,7 @@ impl Rendezvous {
         self.deadline.unwrap_or(Instant::NEVER).min(self.resend_at).min(self.copy_at)
     }
 
-    /// Begins to wait: the task reaches the waitfor.
+    /// Begins to wait: the task reaches the rendezvous.
     fn reach(&mut self, at: &mut At<'_, '_, impl Outbox>, arguments: [u8; 8], patience: Ticks) {
         self.begin(at, arguments, patience);
         self.release_if_complete(at);

@@ -73,7 +73,8 @@ impl Machines {
             Ok(Some(signal)) => step.out.signal(signal),
             Ok(None) => {}
             Err(fault) => {
-                // If a message is not sent, the fragments that were staged for it must not end up in the next message.
+                // If a message is not sent, the fragments that the task has handed over for it must not end up in the
+                // next message.
                 if let Request::Send { port, .. } | Request::Reply { to: ReplyTo { port, .. }, .. } = *request
                 {
                     step.own.unstage(port);

@@ -6,19 +6,19 @@
 //! | [`next`](Server::next) | a GET takes the most urgent message, if there is one |
 //! | [`deliver`](Server::deliver) | the task gets the message, and its execution budget begins |
 //! | [`reply`](Server::reply) | the task answers the message; copies get the same answer |
-//! | [`first_offer`](Server::first_offer) | what may interrupt the running activation first |
+//! | [`first_offer`](Server::first_offer) | returns the message that may interrupt the running activation first |
 //! | [`reject_the_others`](Server::reject_the_others) | other due messages are rejected: offered again later, one rank higher |
-//! | [`advance`](Server::advance) | what has expired is dropped |
-//! | [`reroute`](Server::reroute) | waiting commands reserve the way back of another table |
+//! | [`advance`](Server::advance) | drops expired messages and fragments |
+//! | [`reroute`](Server::reroute) | adapts the deadlines of waiting commands to the routes of another table |
 //!
 //! A packet of a message passes these checks in turn. The packet has no more fragments than the port allows, and time is
 //! left to answer it. No copy of a command to an earlier incarnation of the task can still arrive (D49). The packet is from
 //! the present incarnation of its source, and its message is new (`memory`). All fragments of the message are here
 //! (`assembly`), and no newer epoch has begun (`epochs`).
 //!
-//! Between two inputs no expired message waits, the ready set (`ready`) agrees with a scan of all inboxes, and every
-//! waiting command has a dedup entry with this status. Rule variants that keep no memory or extend TTLs break only the last
-//! of these.
+//! Between two inputs no expired message waits, the ready set (`ready`) agrees with a scan of all inboxes, and the dedup
+//! entry of every waiting command has the status `Held`. Rule variants that keep no memory or extend TTLs break only the
+//! last of these.
 
 mod admission;
 mod assembly;
@@ -70,7 +70,7 @@ pub(crate) struct Server {
     rejections: u64,
     /// The last known incarnation of each task that may send to this one, ascending by task.
     incarnations: Box<[Known]>,
-    /// The newest epoch of each couple that commands this task (D61).
+    /// The newest lease epoch of each couple (primary and standby) that commands this task (D61).
     guards: Box<[Guard]>,
     /// The message that the task took last (D28).
     taken: (Option<Contents>, Parts),
@@ -147,7 +147,8 @@ impl Server {
         let before = self.inboxes[origin.0].front();
         let arrival = self.message(step, threads, (ends, origin), packet);
         let inbox = &self.inboxes[origin.0];
-        // The ready set looks at the most urgent message of a port alone, if the port has no handler and no long messages.
+        // If a port has no handler and its messages take one packet, the ready set depends only on the port's most urgent
+        // message.
         if inbox.handled || inbox.is_long() || inbox.front() != before {
             self.touch(step.own, origin.0);
         }
@@ -326,7 +327,7 @@ impl Server {
         }
     }
 
-    /// Extends the deadlines of waiting messages by the time that passed. This serves the variant in which waiting does not
+    /// Extends the deadlines of waiting messages by the time that passed. This serves the rule variant in which waiting does not
     /// reduce the remaining time.
     pub fn give_back(&mut self, own: &Own, elapsed: Ticks) {
         for inbox in &mut self.inboxes {

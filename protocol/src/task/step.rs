@@ -13,8 +13,8 @@ use crate::ticks::{Instant, Ticks};
 /// The receiver of the effects of [`CommTask::handle`](crate::CommTask::handle). A driver carries them out after `handle` has
 /// returned.
 pub trait Outbox {
-    /// Whether the outbox wants the packets of a rendezvous. The outbox of a fused step of all members does not, and the task then
-    /// makes none.
+    /// Whether the outbox takes the packets of a rendezvous. If not, the task makes none: in a fused step the members need no
+    /// packets.
     const TRANSMITS: bool = true;
 
     /// Hands a packet of the task to the route layer.
@@ -62,7 +62,7 @@ impl<O: Outbox> Step<'_, O> {
         id
     }
 
-    /// The time that a packet carries: the message's remaining time (§5.1), or, under the variant with absolute times, an
+    /// The time that a packet carries: the message's remaining time (§5.1), or, under the rule variant with absolute times, an
     /// instant on this node's clock.
     pub fn stamp(&self, ttl: Ticks) -> Ticks {
         match self.table.rules().time_stamp {

@@ -53,7 +53,7 @@ pub(crate) enum Finished {
 /// What a part reports to the dispatcher when a wait has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Ended {
-    /// The wait that ended. `None` under the variant that accepts late replies: then the running activation gets the
+    /// The wait that ended. `None` under the rule variant that accepts late replies: then the running activation gets the
     /// signal.
     pub wait: Option<Pending>,
     pub finished: Finished,

@@ -138,8 +138,8 @@ impl Rig {
         }
     }
 
-    /// If the script says which GET it makes after its REPLY (D200), compares that with a copy of it that the REPLY's acceptance
-    /// leads there.
+    /// If the script predicts the GET after its REPLY (D200), compares the prediction with a copy of the script that
+    /// gets the acceptance of the REPLY.
     fn compare_get(&self, mut script: Script) -> Result<(), String> {
         let Some((at, get)) = script.get_after_reply(&self.program, &self.code) else { return Ok(()) };
         let (mut goes_on, mut said, mut requests) = (script.clone(), Said::default(), Requests::default());

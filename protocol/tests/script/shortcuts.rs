@@ -31,7 +31,7 @@ fn each_value(code: &mut Code, change: impl Fn(&mut Compute)) {
     });
 }
 
-/// The positions of the replies in a program: they say which GET follows.
+/// The positions of the replies whose shortcuts name the GET that follows.
 fn replies(code: &Code) -> Vec<usize> {
     let is_reply =
         |(_, shortcut): &(usize, &Shortcut)| matches!(shortcut.act, Act::Send(_)) && shortcut.next.count == 0;
@@ -174,7 +174,7 @@ fn expression(
         operator => operator,
     };
     if number == -2 {
-        // Some servers: a message is answered, and the next one received.
+        // Some programs are servers: they answer a message and receive the next one.
         let port = if kind % 2 == 0 { ASK } else { TELL };
         b.receive(TELL, Some(Ticks(3)), &[(of, x)]);
         if kind < 4 {

@@ -113,7 +113,7 @@ impl Run {
         let Some(&to) = got.iter().rev().nth(back % got.len().max(1)) else { return };
         let contents = Contents::new(&b.to_le_bytes()).expect("short");
         let reply = Request::Reply { to, contents };
-        // A server answers and gets its next message, of the same port, another one or any.
+        // The task answers, and usually makes a GET next: on the same port, on another port, or on all ports.
         let own = self.table.ports_of(task);
         let time_out = (a & 0x30 == 0).then(|| Ticks(u64::from(a % 5)));
         let source = (a & 0x300 == 0).then_some(to.source);
@@ -155,7 +155,7 @@ impl Run {
         self.ask(task, request, counts);
     }
 
-    /// One task waits for a message on a port, and another one sends it. The first task usually answers.
+    /// Lets one task wait for a message on a port, and another task send that message. The receiver usually answers.
     fn exchange(&mut self, a: u16, b: u16, counts: &mut Counts) {
         let ports = self.table.ports();
         let Some(port) = ports.get(usize::from(a) % ports.len().max(1)) else { return };
@@ -182,7 +182,7 @@ impl Run {
         }
     }
 
-    /// Another task sends this one a message, which waits.
+    /// Lets another task send a message to this task. The message waits in the buffer.
     fn leave(&mut self, task: TaskId, a: u16, counts: &mut Counts) {
         let receives = |id: &&PortId| {
             let party = self.table.port(**id).and_then(|port| port.party(task));
@@ -196,7 +196,7 @@ impl Run {
         self.ask(from, Request::Send { port: id, to: Target::One(task), contents, time_out: None }, counts);
     }
 
-    /// Most members of a waitfor reach it, one after the other, and some of them with less patience.
+    /// Lets most members of a waitfor reach it, one after the other, some of them with less patience.
     fn meet(&mut self, port: PortId, a: u16, b: u16, counts: &mut Counts) {
         let parties: Vec<TaskId> =
             self.table.port(port).expect("a port").parties.iter().map(|party| party.task).collect();
@@ -214,7 +214,7 @@ impl Run {
         self.both(at.index(), NodeInput::Request(task, request), counts);
     }
 
-    /// Compares a REPLY and a GET as one fused step with their small steps, and goes on after both.
+    /// Compares a REPLY and a GET as one fused step with their small steps. The run continues after both.
     fn ask_both(&mut self, task: TaskId, requests: [Request; 2], counts: &mut Counts) {
         let at = self.table.location(task).expect("located").index();
         self.nodes[at].step(self.now, NodeInput::Time, &mut Did::default());

@@ -37,7 +37,7 @@ pub struct World {
     pub restarts: bool,
     /// How many ticks pass before each input that is not time itself.
     pub lag: u64,
-    /// Whether these ticks pass by an input of their own.
+    /// Whether these ticks pass in a separate time input, before the input itself.
     pub splits: bool,
     /// Whether every deadline is checked after time has passed, due or not.
     pub looks_around: bool,

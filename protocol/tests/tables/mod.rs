@@ -228,9 +228,9 @@ fn a_learnt_route_is_taken_until_it_is_retired() {
     assert!(forged(&mut net), "the former route");
 }
 
-/// Every choice of the instants at which the four nodes replace their tables, while a command and its answer are in flight.
-/// The command runs exactly once, and its retransmissions make up for packets that were dropped between nodes of two
-/// tables.
+/// Tests every choice of the instants at which the four nodes replace their tables, while a command and its answer are
+/// in flight. The command runs exactly once, and its retransmissions make up for packets that were dropped between
+/// nodes of two tables.
 #[test]
 fn a_command_runs_once_whenever_each_node_switches() {
     const INSTANTS: u64 = 7;

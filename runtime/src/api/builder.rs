@@ -111,14 +111,14 @@ impl Builder {
         self
     }
 
-    /// Says that packets travel without authentication. Every display of the node shows this.
+    /// Says that the links do not authenticate packets. Every display of the node shows this.
     pub fn insecure(mut self, insecure: bool) -> Self {
         self.insecure = insecure;
         self
     }
 
-    /// Says whether this thread, whose scheduling the node's threads inherit, runs in real time. Every display of the node
-    /// shows this.
+    /// Says whether the calling thread has a real-time scheduling policy, which the node's threads inherit. Every
+    /// display of the node shows this.
     pub fn real_time(mut self, real_time: RealTime) -> Self {
         self.real_time = real_time;
         self
@@ -224,26 +224,27 @@ impl Builder {
         self
     }
 
-    /// Sets for how long the waiting thread of a task spins before it sleeps [default: [`SPIN`]]; zero means that it
-    /// does not spin. The thread spins only if its last wait of that kind was brief, and while no other task's thread
-    /// needs the core. So of several long waits only the first spins, and idle tasks cost nothing.
+    /// Sets how long the waiting thread of a task spins before it sleeps [default: [`SPIN`]]; zero means that it does
+    /// not spin. The thread spins only if its last wait of that kind was brief, and while no other task's thread
+    /// needs the core. So of several long waits only the first one spins, and idle tasks use no processor time.
     pub fn spin(mut self, budget: Duration) -> Self {
         self.spin = budget;
         self
     }
 
-    /// Sets how long before the end of a delay or a time_out a task's thread wakes, to spin until the end [default:
-    /// [`SPIN_TAIL`], which covers the thread's own way to its program]; zero means that it does not spin. A longer tail also
-    /// covers the kernel's wake-up, tens of microseconds. Each wait that ends by its deadline costs at most this much of a
-    /// core. In a wait that is shorter than the tail the thread spins from the beginning, unless the tail is the default. The
-    /// Timer thread, which serves scripts and futures, spins for at most the default. Waits in the socket have no tail: a
-    /// thread waits there for messages, and for a delay alone only if this length is not set.
+    /// Sets the spin tail: how long before the end of a delay or a time_out a task's thread wakes, to spin until the
+    /// end. The default, [`SPIN_TAIL`], covers the time from the thread's wake-up until its program runs; zero means
+    /// no spinning. A longer tail also covers the kernel's delay of the wake-up, tens of microseconds. Each wait that
+    /// ends by its deadline costs at most this much of a core. A wait shorter than the tail spins from its beginning,
+    /// unless the tail is the default. The Timer thread, which serves scripts and futures, spins for at most the
+    /// default. Waits in the socket have no tail. A thread waits there for messages; it waits there for a delay only
+    /// if the program has not set this length.
     pub fn spin_tail(mut self, length: Duration) -> Self {
         self.spin_tail = Some(length);
         self
     }
 
-    /// Keeps the scripts from beginning until [`Runtime::begin`]. In a later incarnation of the node they wait until no
+    /// Keeps the scripts from beginning until [`Runtime::begin`]. After a restart of the node, scripts wait until no
     /// command to the earlier incarnation can arrive any more.
     pub fn hold_scripts(mut self) -> Self {
         self.holds = true;
@@ -297,7 +298,8 @@ impl Builder {
     }
 }
 
-/// Puts the programs into the order of the node's tasks. It fails if a program has no task here, or a task has no program.
+/// Puts the programs into the order of the node's tasks. Fails if a program's task is not on this node, or a task has
+/// no program.
 fn assign(
     cell: &CellTable,
     node: NodeId,

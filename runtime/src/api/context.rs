@@ -68,8 +68,8 @@ pub struct Context<S = ()> {
     pub state: S,
     caller: Caller,
     handlers: Handlers<S>,
-    /// Messages that one call took together, each with the time at which it was taken. Used within a call of
-    /// `receive_many`, and empty between calls.
+    /// Messages that one call of `receive_many` takes, each with the instant at which it was taken. Empty between
+    /// calls.
     taken: Vec<(Micros, Delivery)>,
 }
 
@@ -132,8 +132,8 @@ impl<S> Context<S> {
         self.caller.named(name)
     }
 
-    /// Sends to all tasks at the other end of the port. Class 1 returns at once; class 2 waits for the answers. A message may be
-    /// as long as the port's format: up to 16 packets of 12 bytes.
+    /// Sends to all tasks at the other end of the port. A class-1 send returns at once; a class-2 send waits for the
+    /// answers. A message may be as long as the port's format: up to 16 packets of 12 bytes.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -163,10 +163,10 @@ impl<S> Context<S> {
         at_once(self.sent(port, to, contents, time_out))
     }
 
-    /// The messages that `work` sends leave together: all packets for one neighbour in one datagram, the most urgent
-    /// first, or in one call that the kernel cuts into datagrams. The packets leave when `work` ends, before any call
-    /// in `work` waits, and as soon as there are as many packets as the link takes at once. Outside of `together` every
-    /// message leaves at once. No time_out makes the packets leave earlier, so `work` should do nothing but send.
+    /// Lets the messages that `work` sends leave together: all packets for one neighbour in one datagram, the most
+    /// urgent first, or in one call that the kernel cuts into datagrams. The packets leave when `work` ends, before
+    /// any call in `work` waits, or once there are as many as the link takes at once. Outside of `together` every
+    /// message leaves at once. No time_out makes packets leave earlier, so `work` should do nothing but send.
     ///
     /// ```no_run
     /// # use imrs_runtime::{Context, TaskError, protocol::PortId};
@@ -196,7 +196,7 @@ impl<S> Context<S> {
         at_once(self.received(port, None, time_out))
     }
 
-    /// As [`receive`](Self::receive), from one source only.
+    /// As [`receive`](Self::receive), but takes only messages of one source.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -225,8 +225,8 @@ impl<S> Context<S> {
         at_once(self.replied(to, contents))
     }
 
-    /// Answers a received class-2 message, and then waits for the next message as [`receive`](Self::receive) does. For a server it does
-    /// what the two calls do, for less: the communication task is entered once.
+    /// Answers a received class-2 message, and then waits for the next message as [`receive`](Self::receive) does.
+    /// This costs less than two calls, because the communication task's lock is taken only once.
     ///
     /// ```no_run
     /// # use imrs_runtime::{Context, TaskError, protocol::PortId};
@@ -273,8 +273,8 @@ impl<S> Context<S> {
         at_once(self.met(port, arguments, time_out))
     }
 
-    /// Ranks ports, sources, timers and the current thread from here on (§5.1.1). Of two messages with equal time_outs
-    /// the one ranked first is served first; what `named` leaves out comes last.
+    /// Ranks ports, sources, timers and the current thread from here on (§5.1.1). Of two messages with equal
+    /// time_outs the one with the higher rank is served first. Anything that is not in `named` ranks last.
     ///
     /// # Errors
     /// [`TaskError::TooManyLevels`].
@@ -298,7 +298,7 @@ impl<S> Context<S> {
         at_once(self.leased())
     }
 
-    /// Sets what the answers to the partner's heartbeats carry from here on: at most 8 bytes.
+    /// Sets the data that every later answer to the partner's heartbeats carries: at most 8 bytes.
     ///
     /// # Errors
     /// [`TaskError::TooLong`].
@@ -312,8 +312,8 @@ impl<S> Context<S> {
         self.caller.look(|comm| comm.machine().partner_published().copied())
     }
 
-    /// Makes a request and waits for its answer; handlers run meanwhile. Also returns the answer's age. Each answer is
-    /// passed to `more`.
+    /// Makes a request and waits for its answer. Handlers run during the wait. Returns the answer and its age. Passes
+    /// each answer to `more`, too.
     fn call_with(&mut self, request: Request, more: More<'_>) -> Result<(Signal, Ticks), TaskError> {
         let asked = clock::next();
         let over = match request {

@@ -32,16 +32,17 @@ pub trait Message: Sized {
     fn decode(bytes: &[u8]) -> Option<Self>;
 }
 
-/// A field of a message, of one of the cell language's types: `bool`, `i8` (int8), `i16` (int16), `i32` (int32), `u32` (word),
-/// `f32` (real).
+/// A type that a field of a message can have. Each is a type of the cell language: `bool`, `i8` (int8), `i16`
+/// (int16), `i32` (int32), `u32` (word), `f32` (real).
 pub trait Field: Copy {
     /// How many bytes the field takes.
     const BYTES: usize;
 
-    /// Writes the value to all of `out`, [`BYTES`](Self::BYTES) long. Returns `None` for a value that no message can hold.
+    /// Writes the value to `out`, which is [`BYTES`](Self::BYTES) long. Returns `None` for a value that no message
+    /// can hold.
     fn put(self, out: &mut [u8]) -> Option<()>;
 
-    /// Reads a value from all of `bytes`; `None` if they are no value of this type.
+    /// Reads a value from `bytes`; `None` if these bytes are no value of this type.
     fn take(bytes: &[u8]) -> Option<Self>;
 }
 
@@ -84,7 +85,7 @@ impl Field for f32 {
     const BYTES: usize = 4;
 
     fn put(self, out: &mut [u8]) -> Option<()> {
-        // The language has one zero, and neither infinities nor NaN.
+        // The cell language has only one zero, and neither infinities nor NaN.
         let value = if self == 0.0 { 0.0 } else { self };
         value.is_finite().then_some(value.to_bits())?.put(out)
     }

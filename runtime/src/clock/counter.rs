@@ -1,10 +1,10 @@
 //! Reads `CLOCK_BOOTTIME` through the processor's counter, where the kernel itself keeps time by that counter.
 //!
-//! A thread takes a reading of both clocks, an [`Anchor`], and for the next [`AGE`] derives the time from the counter
-//! alone. The result is a pair of bounds. An expiry is decided by the earlier bound, and a request is stamped with the
-//! later one, so neither an error of the rate nor the order of two readings makes anything end early. If a new anchor
-//! lies outside of the bounds of the anchor before it, this process stops using the counter. A suspend has the same
-//! effect: only the kernel's clocks say how long it was (D197).
+//! A thread takes a reading of both clocks, an [`Anchor`]. For the next [`AGE`] it derives the time from the counter
+//! alone. The result is a pair of bounds. The earlier bound decides whether a deadline has passed, and a request is
+//! stamped with the later one. So neither an error of the rate nor the order of two readings ends anything early. If
+//! a new anchor lies outside of the bounds of the anchor before it, this process stops using the counter. A suspend
+//! has the same effect, because only the kernel's clocks know how long it was (D197).
 
 use std::cell::Cell;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -19,8 +19,8 @@ const BRIEF: u64 = 2_000;
 /// kernel adjusts its clocks by at most 500 in a million. The rate is wrong by at most [`BRIEF`] / [`BASE`] to either
 /// side, which is 200 in a million.
 const SHARE: u64 = 1_024;
-/// The two bounds of a time lie this much further apart (ns), because a processor may read its counter before it has
-/// done the instructions in front of the reading.
+/// The two bounds of a time lie this much further apart (ns). A processor may read its counter before it has executed
+/// the instructions in front of the reading.
 const SLACK: u64 = 100;
 /// The number of bits behind the binary point of a rate.
 const POINT: u32 = 32;
@@ -41,11 +41,11 @@ pub(super) struct Anchor {
     kernel: u64,
     before: u64,
     after: u64,
-    /// For how many counts after this reading a thread may use the anchor; 0 if not at all.
+    /// How many counts of the counter the thread may use this anchor for; 0 means not at all.
     lasts: u64,
 }
 
-/// The earliest and the latest possible value of the present time, in nanoseconds of the kernel's clock.
+/// The earliest and the latest possible value of the current time, in nanoseconds of the kernel's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Between {
     pub earliest: u64,
@@ -61,14 +61,13 @@ impl Anchor {
     /// An anchor without a reading.
     pub const NONE: Self = Self { kernel: 0, before: 0, after: 0, lasts: 0 };
 
-    /// An anchor that a thread uses.
+    /// An anchor that has not expired.
     #[cfg(test)]
     pub const fn in_use() -> Self {
         Self { lasts: 1, ..Self::NONE }
     }
 
-    /// An anchor of a thread that goes on using it although the counter stood still for `nanos`, as in a
-    /// suspend.
+    /// The anchor of a thread that did not notice a suspend: the counter stopped for `nanos` meanwhile.
     #[cfg(test)]
     pub fn as_before(nanos: u64, clocks: &impl Clocks) -> Self {
         let count = clocks.count();
@@ -81,7 +80,7 @@ impl Anchor {
         Self { kernel, before, after: clocks.count(), lasts: 0 }
     }
 
-    /// The bounds of the time at this count of the counter.
+    /// The bounds of the time when the counter reads `count`.
     fn at(&self, count: u64, rate: u64) -> Between {
         let least = nanos(count.saturating_sub(self.after), rate);
         let most = nanos(count.saturating_sub(self.before), rate);
@@ -96,7 +95,7 @@ impl Anchor {
     }
 }
 
-/// What a process knows about its counter.
+/// A process's measurements of its counter.
 pub(super) struct Counter {
     /// Nanoseconds for each count, with [`POINT`] bits behind the binary point; 0 while the rate is not known.
     rate: AtomicU64,
@@ -120,19 +119,19 @@ impl Counter {
         self.rate.load(Ordering::Relaxed) != NEVER
     }
 
-    /// Whether the rate is known, and the anchor is used.
+    /// Whether the rate is known and the anchor has not expired.
     #[cfg(test)]
     pub fn is_in_use(&self, anchor: &Cell<Anchor>) -> bool {
         self.rate.load(Ordering::Relaxed) != 0 && anchor.get().lasts != 0
     }
 
-    /// The bounds of the present time, derived from the calling thread's anchor or from a new one.
+    /// The bounds of the current time, derived from the calling thread's anchor or from a new one.
     #[inline]
     pub fn read(&self, clocks: &impl Clocks, anchor: &Cell<Anchor>) -> Between {
         let (rate, known) = (self.rate.load(Ordering::Relaxed), anchor.get());
         if rate != NEVER {
             let count = clocks.count();
-            // If the counter reads less than at the anchor, the difference wraps around and so exceeds `lasts`.
+            // If the counter has gone back since the anchor, the difference wraps around and is greater than `lasts`.
             if count.wrapping_sub(known.after) < known.lasts {
                 return known.at(count, rate);
             }
@@ -169,7 +168,8 @@ impl Counter {
         now
     }
 
-    /// Derives the rate from the process's first reading and this one, if both were brief and are far enough from each other.
+    /// Computes the rate from the process's first reading and this one, if both were brief and are far enough apart
+    /// in time.
     fn measure(&self, new: &Anchor) {
         let (length, counts) =
             (new.kernel.saturating_sub(self.first.kernel), new.after.saturating_sub(self.first.after));
@@ -178,10 +178,11 @@ impl Counter {
         }
         let rate = u64::try_from((u128::from(length) << POINT) / u128::from(counts)).unwrap_or(NEVER);
         if rate == 0 || self.first.took(rate) > BRIEF {
-            // The process was stopped during its first reading, or the counter does not count.
+            // Either the process was stopped during its first reading, or the counter does not count.
             self.rate.store(NEVER, Ordering::Relaxed);
         } else if new.took(rate) <= BRIEF {
-            // Another thread may have stored its rate first. That rate stays, so that all anchors have the same rate.
+            // Another thread may have stored its rate first. Its rate stays, because all anchors of a process must
+            // use one rate.
             let _ = self.rate.compare_exchange(0, rate, Ordering::Relaxed, Ordering::Relaxed);
         }
     }
@@ -236,8 +237,8 @@ mod tests {
         }
     }
 
-    /// Reads every 10 us for 10 ms. Returns by how much the readings were early at most (ns), and how often the kernel
-    /// was asked.
+    /// Reads the time every 10 us for 10 ms. Returns by how many ns a reading was early at most, and how often the
+    /// kernel's clock was read.
     fn readings(given: &Given, counter: &Counter, anchor: &Cell<Anchor>) -> (u64, u64) {
         let (mut early, asked) = (0, *given.taken.borrow());
         for _ in 0..1_000 {
@@ -305,7 +306,7 @@ mod tests {
         let (counter, anchor) = (given.counter(), Cell::default());
         counter.read(&given, &anchor);
         renew(&anchor);
-        // The kernel's clock went on while the counter stood still.
+        // An hour passes by the kernel's clock, while the counter does not count.
         given.now.set(given.now.get() + 3_600_000_000_000);
         assert_eq!(counter.read(&given, &anchor).earliest, given.now.get());
         assert!(!counter.is_trusted());

@@ -8,7 +8,7 @@ use crate::sync::handoff::{Handoff, Plant, Protected, Rest};
 use std::collections::VecDeque;
 use std::sync::atomic::Ordering;
 
-/// The inputs that came, in their order.
+/// The inputs that arrived, in order.
 #[derive(Default)]
 struct Came(Vec<u8>);
 
@@ -33,9 +33,9 @@ impl Protected for Came {
     }
 }
 
-/// A thread brings a bundle of the inputs 1 to `last`, while another thread brings input 4; the inbox has
-/// room for two. All inputs arrive, and those of the bundle in their order. Returns whether the inbox was
-/// full, and how many inputs the first thread handled.
+/// A thread brings a bundle of the inputs 1 to `last`, while another thread brings input 4. The inbox has room for
+/// two. All inputs arrive, and those of the bundle in order. Returns whether the inbox was full, and how many inputs
+/// the first thread handled.
 fn bring_a_bundle(plant: Option<Plant>, last: u8) -> (bool, u32) {
     let handoff = Arc::new(Handoff::planted(Came::default(), None, plant));
     let theirs = Arc::clone(&handoff);
@@ -80,8 +80,8 @@ fn the_rest_of_a_bundle_does_not_overtake_what_was_left_of_it() {
     must_fail_large("the order was lost", || bring_a_bundle(Some(Plant::Overtakes), 3));
 }
 
-/// The task asks, spins once and sleeps; another thread brings a bundle with the answer. Returns how the task waited, and
-/// whether its own thread handled the answer.
+/// A task makes a request, checks for the answer once and sleeps; another thread brings a bundle with the answer.
+/// Returns how the task waited, and whether its own thread handled the answer.
 fn wait_for_a_bundle(plant: Option<Plant>) -> (Waited, bool) {
     let handoff = toy(plant);
     let theirs = Arc::clone(&handoff);

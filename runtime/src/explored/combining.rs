@@ -24,7 +24,8 @@ fn two_take_turns(plant: Option<combining_lock::Plant>) -> u32 {
     own.max(others)
 }
 
-/// As [`two_take_turns`], but a thread that gets the lock at once does its own work without adding it to the pile.
+/// As [`two_take_turns`], but a thread that finds the lock free does its own work directly, and does not add it to
+/// the pile.
 fn two_enter(blindly: bool) -> u32 {
     fn carry_or_put(turn: &CombiningLock<()>, pile: &Mutex<u32>, blindly: bool) -> u32 {
         let mut carried = 0;

@@ -8,14 +8,14 @@ use crate::explorer::{Arc, explore_large, thread};
 use crate::sync::handoff::{Handoff, Plant, Protected, Rest};
 use std::collections::VecDeque;
 
-/// Two members. The first sends each of its inputs to the second, together with an input of its own.
+/// Two members of a domain. For each of its inputs, the first member sends an input to the second.
 #[derive(Default)]
 struct Two {
-    /// What the second member got, in its order.
+    /// The inputs that the second member got, in order.
     got: Vec<u8>,
 }
 
-/// The inputs that a thread holds for the second member, and how often it took the lock once more for them.
+/// The inputs that a thread still has to give the second member, and how often it took the lock again for this.
 #[derive(Default)]
 struct Carried {
     inside: VecDeque<u8>,
@@ -36,7 +36,7 @@ impl Protected for Two {
         None
     }
 
-    /// A turn takes one input.
+    /// Each turn (hold of the lock) takes one input.
     fn work_inside(&mut self, carried: &mut Carried) {
         self.got.extend(carried.inside.pop_front());
     }
@@ -46,9 +46,8 @@ impl Protected for Two {
     }
 }
 
-/// A thread brings an input to the first member. Then, as long as there are inputs that the first member sent to the
-/// second, the thread takes the lock again and hands them over. If `goes_on` is false, the bug is planted: the thread
-/// takes the lock only once.
+/// A thread brings an input to the first member. The thread then takes the lock again as long as there are inputs for
+/// the second member. If `goes_on` is false, a bug is planted: the thread takes the lock only once.
 fn bring(handoff: &Handoff<Two, Option<Plant>>, input: u8, goes_on: bool) -> u32 {
     let mut carried = Carried::default();
     handoff.deliver(input, &mut carried);
@@ -59,8 +58,8 @@ fn bring(handoff: &Handoff<Two, Option<Plant>>, input: u8, goes_on: bool) -> u32
     carried.turns
 }
 
-/// Two threads bring an input each. The second member gets all that the first one sends, and the parts that belong to
-/// one input in their order. Returns how often each thread took the lock once more.
+/// Two threads bring an input each. The second member gets everything that the first one sends; parts of one input
+/// arrive in order. Returns how often each thread took the lock again.
 fn two_members(plant: Option<Plant>, goes_on: bool) -> [u32; 2] {
     let handoff = Arc::new(Handoff::planted(Two::default(), None, plant));
     let theirs = Arc::clone(&handoff);

@@ -11,8 +11,8 @@ use crate::sync::ready::ReadyFutures;
 use crate::sync::task_waker::TaskWaker;
 use std::task::{Wake, Waker};
 
-/// A machine whose task has made its request, or has not. Like the real machine, it confirms a cancellation even if
-/// there is no wait.
+/// A state machine whose task may have made a request. Like the real one, it confirms a cancellation even if the
+/// task does not wait.
 #[derive(Default)]
 struct Asked {
     waits: bool,
@@ -103,8 +103,8 @@ impl Scene {
         })
     }
 
-    /// The future takes its answer. If there is none yet, the future gives the machine an input; with `blindly` it does
-    /// so in any case.
+    /// Takes the future's answer. If there is none yet, gives the state machine `input` first; with `blindly`, gives
+    /// it in any case.
     fn enter(&self, input: Brought, blindly: bool) -> Option<Got> {
         let mut called = false;
         let ask = |asked: &mut Asked, called: &mut bool| {
@@ -132,8 +132,9 @@ impl Scene {
     }
 }
 
-/// The future makes its request and listens; another thread brings the message. Returns how often the future was polled
-/// again. With `late` the future waits as soon as it listens, without entering the machine again.
+/// The future makes its request and registers its waker; another thread brings the message. Returns how often the
+/// future was polled again. With `late` the future waits as soon as the waker is registered, without entering the
+/// state machine again.
 fn ask_and_listen(plant: Option<Plant>, late: bool) -> u32 {
     let scene = Scene::new(plant);
     // Every future is polled once at the start.
@@ -158,7 +159,7 @@ fn ask_and_listen(plant: Option<Plant>, late: bool) -> u32 {
     polls
 }
 
-/// The future repeats its request for a message that came before its first request.
+/// What the future asks next: for the message that came before its request, if the state machine keeps one.
 fn kept(scene: &Scene) -> Brought {
     let kept = scene.handoff.look_at(|asked| std::mem::take(&mut asked.kept));
     if kept > 0 { Brought::Message } else { Brought::Nothing }

@@ -6,8 +6,8 @@ use crate::clock::FAR;
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
 use crate::sync::handoff::{Handoff, Plant, Protected, Rest};
 
-/// A machine of two states: its task has made a request, or has not. The machine keeps an answer that comes before the
-/// request.
+/// A state machine with two states: its task waits for an answer, or does not. The machine keeps an answer that comes
+/// before the request.
 #[derive(Default)]
 pub(super) struct Toy {
     asked: bool,
@@ -18,7 +18,7 @@ pub(super) struct Toy {
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Brought {
     Question,
-    /// The task takes an answer that is already there.
+    /// The task takes a kept answer without waiting.
     Poll,
     Answer,
     /// An answer arrives; its handling may wait until the task's own thread takes it.
@@ -96,7 +96,7 @@ pub(super) fn bring(handoff: &Arc<Handoff<Toy, Option<Plant>>>, input: Brought) 
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Waited {
-    /// The task did not wait: the answer was there.
+    /// The task did not wait: there was an answer already.
     NotAtAll,
     /// The task's thread found the answer while it was spinning.
     Looking,
@@ -105,8 +105,8 @@ pub(super) enum Waited {
     Asleep,
 }
 
-/// The task makes a request. Until it is answered, the task's thread looks for the answer with `look`, which says whether it
-/// found one, and then sleeps. Returns how the task waited, and the answer.
+/// The task makes a request. Until there is an answer, its thread calls `look`, which returns whether it found one,
+/// and then sleeps. Returns how the task waited, and the answer.
 pub(super) fn ask(handoff: &Handoff<Toy, Option<Plant>>, look: impl Fn() -> bool) -> (Waited, Got) {
     let (mut waited, mut worked) = (Waited::NotAtAll, 0);
     let mut entry = handoff.enter(Brought::Question, &mut worked);
@@ -125,9 +125,9 @@ pub(super) fn ask(handoff: &Handoff<Toy, Option<Plant>>, look: impl Fn() -> bool
     }
 }
 
-/// The task makes a request, looks for the answer `looks` times and then sleeps; another thread brings the answer. If
-/// the wake-up is missing, loom finds the deadlock. Returns how the task waited, and whether its thread handled the
-/// answer itself.
+/// The task makes a request, checks for the answer `looks` times and then sleeps; another thread brings the answer.
+/// If that thread does not wake the task, loom finds the deadlock. Returns how the task waited, and whether its
+/// thread handled the answer itself.
 fn ask_and_wait(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);
@@ -192,9 +192,9 @@ fn a_sleep_that_trusts_the_last_look_misses_the_answer() {
     must_fail(DEADLOCK, || ask_and_wait(Some(Plant::SleepsBlindly), 2));
 }
 
-/// The answer comes while the time runs out. The outcome is decided once, under the lock: it is never both and never
-/// neither. If `under_lock` is false, the bug is planted: the task assumes that its time is over without looking under the
-/// lock.
+/// The answer comes just as the task's time runs out. The lock's holder decides the outcome once: it is one of the
+/// two. If `under_lock` is false, a bug is planted: the task assumes that its time is over, and does not check this
+/// under the lock.
 fn race_with_time(under_lock: bool) -> Got {
     let handoff = toy(None);
     let answer = bring(&handoff, Brought::Answer);

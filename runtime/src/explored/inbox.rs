@@ -6,8 +6,8 @@ use super::{DEADLOCK, must_fail, must_fail_large};
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
 use crate::sync::handoff::{Entry, Handoff, Plant};
 
-/// A thread brings two answers. The task waits for one, then takes every answer that is there, until it has both.
-/// Returns the most answers taken at once.
+/// A thread brings two answers. The task waits for one and then takes every answer that has come, until it has both.
+/// Returns the most answers that it took at once.
 fn take_several(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let bringing = Arc::clone(&handoff);
@@ -82,7 +82,7 @@ fn without_a_second_look_what_comes_when_a_look_has_ended_stays_behind() {
     }
 }
 
-/// Two threads bring input at once. Returns the greater number of inputs that one of them handled.
+/// Two threads bring an input each at the same time. Returns the greater of the numbers of inputs that each handled.
 fn two_bring(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);
@@ -111,7 +111,8 @@ fn without_its_fence_the_second_look_is_in_vain() {
     }
 }
 
-/// Three threads bring input at once, and the inbox has room for one. Returns whether a thread found it full.
+/// Three threads bring an input each at the same time, and the inbox has room for one. Returns whether a thread found
+/// it full.
 fn three_bring(plant: Option<Plant>) -> bool {
     let mut handoff = Handoff::planted(Toy::default(), None, plant);
     handoff.inbox.room.0 = 1;
@@ -137,7 +138,8 @@ fn input_that_a_full_inbox_drops_is_missed() {
     must_fail_large("input stayed behind", || three_bring(Some(Plant::DropsWhenFull)));
 }
 
-/// One thread looks at the protected state while another brings input. Returns how many inputs the looking thread handled.
+/// One thread reads the protected state while another brings input. Returns how many inputs the reading thread
+/// handled.
 fn one_looks(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);

@@ -15,17 +15,17 @@ fn take(drain: &mut Drain<1, Option<Plant>>, taken: &mut Vec<u64>) {
     }
 }
 
-/// Yields to other threads if schedules are drawn at random. No thread waits in these scenes, so the explorer needs a
-/// hint where to switch threads. If all schedules are explored, this does nothing: loom would take the hint as a
-/// promise that this thread has nothing to do before another thread has run.
+/// Yields to other threads if schedules are drawn at random: no thread waits in these scenes, so the explorer needs a
+/// hint where to switch threads. If all schedules are explored, this does nothing, because loom would not run this
+/// thread again before another thread has run.
 fn let_others_run() {
     if !SEES_OLD_VALUES {
         thread::yield_now();
     }
 }
 
-/// One thread puts two records into a lane with room for one, while another thread takes them. `before` is the number
-/// of slots that went through the lane earlier. Returns how many records found room, and whether any was taken before
+/// One thread puts two records into a lane with room for one, while another thread takes records. `before` is how
+/// many slots the lane has already counted. Returns how many records found room, and whether one was taken before
 /// both had been put.
 fn two_records(before: usize, plant: Option<Plant>) -> (u64, bool) {
     let (mut fill, mut drain) = used_lane::<1, _>(2, before, plant);
@@ -55,7 +55,7 @@ fn two_records(before: usize, plant: Option<Plant>) -> (u64, bool) {
 
 #[test]
 fn what_found_room_comes_out_whole_and_in_order() {
-    // The counts of the lane's slots wrap around between the two records, or within the second.
+    // These values of `before` let the slot counters overflow between the two records, or within the second.
     for before in [0, usize::MAX - 1, usize::MAX - 2] {
         let seen = explore(move || two_records(before, None));
         let outcomes: Vec<_> = seen.keys().copied().collect();

@@ -19,13 +19,13 @@ pub(super) struct Socket {
 struct State {
     /// The datagrams in the socket; true means that the datagram is for the leader's task.
     datagrams: Vec<bool>,
-    /// How many datagrams, arrived or still to come, no thread has taken yet.
+    /// How many datagrams are not taken yet: those in the socket, and those that will arrive later.
     open: u32,
     leads: bool,
     told: bool,
     called: bool,
-    /// Whether reports are edge-triggered, so that a datagram that is still in the socket is not reported again. For
-    /// the test that must fail.
+    /// Whether reports are edge-triggered: then the socket does not report a datagram again that is still in it. Only
+    /// for the test that must fail.
     edges: bool,
 }
 
@@ -47,8 +47,8 @@ impl Socket {
         }
     }
 
-    /// The leader waits. If this reports a datagram, the datagram is in the socket on return, unless the polling thread
-    /// has taken it.
+    /// The leader's wait in the socket. If this reports a datagram, the datagram is still in the socket on return,
+    /// unless the polling thread has taken it.
     pub(super) fn wait(&self) -> Came {
         let mut state = self.state.lock().unwrap();
         loop {
@@ -64,7 +64,7 @@ impl Socket {
         }
     }
 
-    /// The polling thread waits. Returns false once no datagram is still to come.
+    /// The polling thread's wait in the socket. Returns false once no more datagrams will arrive.
     pub(super) fn poll(&self) -> bool {
         let mut state = self.state.lock().unwrap();
         while state.open > 0 && (!state.told || state.datagrams.is_empty()) {
@@ -106,11 +106,11 @@ struct Scene {
 struct Planted {
     /// The link does not wake a thread that waits in it.
     no_waker: bool,
-    /// When the leader's own wait is over, it leaves a datagram in the socket that the kernel has reported to it.
+    /// When the leader's own wait is over, the leader does not take the datagram that the kernel has reported to it.
     leaves_told: bool,
     /// The kernel's reports are edge-triggered.
     edges: bool,
-    /// A receiving thread does not check again whether another thread wanted to receive meanwhile.
+    /// A receiving thread stops without checking whether another thread wanted to receive in the meantime.
     leaves_blindly: bool,
 }
 
@@ -158,8 +158,8 @@ impl Scene {
         took
     }
 
-    /// The task makes a request and waits, after it has looked `looks` times into the socket. Returns how the wait
-    /// went, and how many datagrams the task's thread took.
+    /// The task makes a request, checks the socket `looks` times, and then waits. Returns how the wait went, and how
+    /// many datagrams the task's thread took.
     fn run_task(&self, looks: u32) -> (Led, u32) {
         let (mut worked, mut took, mut led) = (0, 0, Led::ToTheEnd);
         let mut entry = self.handoff.enter(Brought::Question, &mut worked);
@@ -282,7 +282,7 @@ fn one_at_work_who_is_told_of_edges_leaves_a_datagram() {
     must_fail_large(DEADLOCK, || two_datagrams(Planted { edges: true, ..Planted::default() }));
 }
 
-/// The answer comes as a datagram while another task's thread, which is still spinning, looks into the socket. No thread polls.
+/// The answer comes as a datagram while the spinning thread of another task checks the socket. No thread polls.
 fn answer_beside_a_look(planted: Planted) -> (Led, u32) {
     let scene = Scene::new(planted, 1);
     let (other, network) = (Arc::clone(&scene), Arc::clone(&scene));

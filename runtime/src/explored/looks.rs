@@ -1,5 +1,5 @@
-//! Scenes of observers that look at a machine while it works, and of a report about a packet that must not
-//! come too late.
+//! Scenes of observers that look at a state machine while it works, and of a report that a packet
+//! expired, which must reach the packet's sender before that sender decides.
 
 use super::{Listed, must_fail};
 use crate::clock::FAR;
@@ -10,7 +10,7 @@ use crate::sync::inbox::Slotted;
 use crate::sync::{AtomicU64, Mutex, Ordering, lock};
 use imrs_protocol::{Event, Observation, PortId, TaskId, Ticks};
 
-/// A machine that counts what it observes.
+/// A state machine that counts what it observes.
 struct Observed {
     ring: Ring,
     count: u32,
@@ -47,8 +47,8 @@ impl Protected for Observed {
     }
 }
 
-/// A machine makes three observations while an observer follows, in a ring that keeps two. Returns how many the
-/// observer lost. The observations that the observer reads are in order; together with the lost ones they are three.
+/// A state machine makes three observations while an observer follows, in a ring that keeps two. The observer reads
+/// observations in order; those and the lost ones are three together. Returns how many were lost.
 fn follow(forgets_the_loss: bool) -> u64 {
     let mut ring = Ring::of(2);
     ring.forgets_the_loss = forgets_the_loss;
@@ -86,15 +86,15 @@ fn a_reader_that_does_not_know_its_loss_reads_out_of_order() {
     must_fail("out of order", || follow(true));
 }
 
-/// A machine that stamps each step with a time, and reports it.
+/// A state machine that stamps each step with a time, and reports it.
 struct Stamper {
     clock: Arc<AtomicU64>,
     told: [Option<u64>; 2],
     count: usize,
 }
 
-/// The stamp that an input carries if the bug is planted: the bringing thread read the clock outside of the
-/// lock. Without the bug there is no stamp, and the step is stamped by the clock under the lock.
+/// An input. Its stamp is set only if the bug is planted: the thread that brings the input then read the clock before
+/// it had the lock. Without the bug, the state machine stamps its step by the clock under the lock.
 struct Stamped(Option<u64>);
 
 impl Slotted for Stamped {
@@ -140,8 +140,8 @@ impl Protected for Stamper {
     }
 }
 
-/// An observer asks up to which time all steps are reported, while a machine reports steps. Returns how many steps were
-/// reported before the answer; later steps must not be older than the answer.
+/// A state machine reports steps, while an observer asks up to which instant all steps are reported. No step that is
+/// reported later may be older than the observer's answer. Returns how many steps were reported before it.
 fn told_until(stamped_outside: bool) -> usize {
     let clock = Arc::new(AtomicU64::new(0));
     let stamper = Stamper { clock: Arc::clone(&clock), told: [None; 2], count: 0 };
@@ -173,7 +173,7 @@ fn a_stamp_from_outside_the_lock_is_told_too_late() {
     must_fail("told too late", || told_until(true));
 }
 
-/// A machine that waits until it learns whether its packet was sent.
+/// A state machine that waits until it learns whether its packet was sent.
 #[derive(Default)]
 struct Sender {
     outcome: Option<Outcome>,
@@ -207,9 +207,9 @@ impl Protected for Sender {
     }
 }
 
-/// A packet expires in the buffer at the same instant at which its sender's time_out ends. The thread that drops the packet
-/// leaves a note of this for the sender; the sender checks the buffer before it decides. Returns whether the sender dropped
-/// the packet itself. The planted bug: the thread leaves the note after it has released the buffer's lock.
+/// A packet expires in the buffer when its sender's time_out ends. The thread that drops the packet leaves a note for
+/// the sender, and the sender checks the buffer before it decides. The planted bug: the thread leaves the note after
+/// it has released the buffer's lock. Returns whether the sender dropped the packet itself.
 fn expire_in_the_buffer(news_comes_late: bool) -> bool {
     fn advance(buffer: &Mutex<bool>, handoff: &Handoff<Sender>, news_comes_late: bool) -> bool {
         let mut held = lock(buffer);

@@ -1,8 +1,8 @@
 //! Explores the concurrent parts of the runtime, each in small scenes of two or three threads. An explorer (loom or
-//! shuttle) runs a scene under many schedules (orders of the threads' steps). In the unit tests, loom takes all schedules
-//! with a bounded number of preemptions, stale values of atomics included. In `tests/schedules`, shuttle draws many more schedules. Both compile these same files;
-//! `crate::explorer` is the explorer in use. A large scene has a smaller bound by default, which shows the same outcomes and
-//! finds the same bugs (`explore_large`).
+//! shuttle) runs a scene under many schedules (orders of the threads' steps). In the unit tests, loom takes all
+//! schedules with a bounded number of preemptions, stale values of atomics included. In `tests/schedules`, shuttle
+//! draws many more schedules. Both compile these same files; `crate::explorer` is the explorer in use. A large scene
+//! has a smaller bound by default, which shows the same outcomes and finds the same bugs (`explore_large`).
 //!
 //! A scene returns its outcome. Each test asserts the whole set of outcomes. Beside it stand tests in which a bug is
 //! planted on purpose, and must be found. An exploration that sees only one outcome, or misses the bug, proves nothing.
@@ -30,7 +30,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 /// The explorer's message when every thread sleeps.
 const DEADLOCK: &str = "deadlock";
 
-/// An input of a scene, one of a few possible ones: a slot of the inbox stores its position among them.
+/// An input of a scene. The inbox stores an input as its position in `ALL`.
 trait Listed: Copy + PartialEq + 'static {
     const ALL: &'static [Self];
 }
@@ -58,7 +58,7 @@ fn must_fail<O: Ord + Send + 'static>(symptom: &str, body: impl Fn() -> O + Send
     must_be_found(symptom, || explore(body));
 }
 
-/// As [`must_fail`] for a large scene, which has a smaller bound.
+/// As [`must_fail`], for a large scene: its exploration has a smaller bound.
 fn must_fail_large<O: Ord + Send + 'static>(symptom: &str, body: impl Fn() -> O + Send + Sync + 'static) {
     must_be_found(symptom, || explore_large(body));
 }

@@ -6,8 +6,9 @@ use super::{DEADLOCK, must_fail};
 use crate::explorer::{SEES_OLD_VALUES, explore};
 use crate::sync::handoff::Plant;
 
-/// The task has entered the machine before. It asks, looks `looks` times and then sleeps; another thread brings news that
-/// may wait for the task's thread. Returns how the task waited, and whether its own thread handled the news.
+/// A task has used its state machine before. It makes a request, checks for the answer `looks` times and then sleeps;
+/// another thread brings news, which may wait. Returns how the task waited, and whether its own thread handled the
+/// news.
 fn ask_for_news(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
     let handoff = toy(plant);
     handoff.enter(Brought::Nothing, &mut 0);
@@ -17,9 +18,9 @@ fn ask_for_news(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
     (waited, other.join().unwrap() == 0)
 }
 
-/// Asserts that all outcomes in `expected` are seen. If every schedule is explored, there is one more
-/// outcome: the thread that left the news sees that the task's thread is about to sleep, and handles the news
-/// before that thread checks the inbox. Schedules that are drawn at random rarely show that outcome.
+/// Asserts that exactly the outcomes in `expected` are seen. If every schedule is explored, there is one more: the
+/// thread that left the news sees that the task's thread is about to sleep, and handles the news itself, before the
+/// task's thread checks the inbox. Schedules drawn at random rarely show that outcome.
 fn news_end_every_wait(looks: u32, expected: &[(Waited, bool)]) {
     let seen = explore(move || ask_for_news(None, looks));
     let rare = (Waited::Awake, false);
@@ -41,8 +42,8 @@ fn news_that_waited_are_found_by_who_looks() {
     news_end_every_wait(2, &expected);
 }
 
-/// News come before the task's thread begins to look into its inbox, or another thread has handled them by
-/// then. Returns whether the first look finds them, although no other thread wakes the task's thread.
+/// News come before the task's thread checks its inbox, and another thread may have handled them by then. Returns
+/// whether the first check finds them, although no thread wakes the task's thread.
 fn look_after_news(plant: Option<Plant>) -> bool {
     let handoff = toy(plant);
     let mut worked = 0;
@@ -80,8 +81,8 @@ fn without_its_fence_what_was_left_to_a_thread_that_ran_is_not_seen() {
     }
 }
 
-/// An answer comes while the task's thread takes the lock; from then on that thread computes. Returns whether
-/// the other thread handled the answer.
+/// An answer comes while the task's thread takes the lock; then that thread computes for long. Returns whether the
+/// other thread handled the answer.
 fn answer_one_that_computes(plant: Option<Plant>) -> bool {
     let handoff = toy(plant);
     let mut worked = 0;
@@ -100,8 +101,8 @@ fn what_may_not_wait_is_not_left_to_a_thread_that_computes() {
     must_fail("stayed behind", || answer_one_that_computes(Some(Plant::TrustsTheLook)));
 }
 
-/// Two news come for a task's thread that computes, and that has used its communication task before or not.
-/// At most one may wait there. Returns how many wait.
+/// Two news come for a task whose thread computes. `is_entered`: whether the task has used its communication task
+/// before. At most one of the news may wait in the inbox. Returns how many wait.
 fn news_for_one_that_computes(is_entered: bool) -> u32 {
     let handoff = toy(None);
     let mut worked = 0;

@@ -135,7 +135,7 @@ fn a_thread_that_slept_asks_the_kernel_for_the_time() {
         caller.join().unwrap();
         asks
     });
-    // If the call came first, the thread does not sleep, and may go on using its anchor (its last reading of
-    // the kernel's clock).
+    // If the wake-up came first, the thread does not sleep. Then it may keep its anchor (its last reading of the
+    // kernel's clock).
     assert!(seen[&true] > 0 && seen[&false] > 0, "{seen:?}");
 }

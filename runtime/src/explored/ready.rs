@@ -8,8 +8,8 @@ use crate::sync::{AtomicBool, Ordering};
 
 struct Scene {
     ready: ReadyFutures<Option<Plant>>,
-    /// For each future, a flag: the future ends when it finds the flag set. Its accesses are relaxed, so that only the
-    /// wake-up orders them.
+    /// A flag for each future, which ends once it finds its flag set. The flags are accessed with relaxed ordering,
+    /// so that only the wake-up orders these accesses.
     came: [AtomicBool; 2],
 }
 
@@ -33,7 +33,7 @@ impl Scene {
         self.run_and(waits, |_| (), || false)
     }
 
-    /// As [`run`](Self::run). Also calls `ended` with the future that ended, and does not wait if `any` returns true.
+    /// As [`run`](Self::run). Also calls `ended` with each future that ends. Does not sleep while `any` returns true.
     fn run_and(&self, mut waits: [bool; 2], ended: impl Fn(usize), any: impl Fn() -> bool) -> [u32; 2] {
         let mut polls = [0; 2];
         loop {
@@ -47,8 +47,8 @@ impl Scene {
             if waits == [false; 2] {
                 return polls;
             }
-            // This check only saves time for marks that other threads set. These threads also wake the futures' thread,
-            // and that wake-up alone keeps it awake.
+            // This check only avoids a sleep for marks that other threads set. It is not needed for correctness:
+            // these threads also wake the thread of the futures.
             if !any() {
                 self.ready.park.sleep();
             }

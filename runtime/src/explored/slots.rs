@@ -8,8 +8,8 @@ impl Listed for u8 {
     const ALL: &[Self] = &[0, 1, 2, 3, 4];
 }
 
-/// A thread leaves the inputs 1 to 4, as far as there is room, while another thread takes. All that were left are taken, in the
-/// same order. Returns how many were left.
+/// A thread leaves the inputs 1 to 4 in an inbox until the inbox is full, while another thread takes inputs. Every
+/// input that was left is taken, in the same order. Returns how many were left.
 fn go_around(plant: Option<Plant>) -> usize {
     let (inbox, mut taker) = Inbox::<u8, _>::planted(plant);
     let inbox = Arc::new(inbox);
@@ -44,7 +44,7 @@ fn what_is_left_without_room_overwrites_what_waits() {
     must_fail("other inputs were taken", || go_around(Some(Plant::Overfull)));
 }
 
-/// Two threads leave an input each, and one of them then takes. Returns the first that it takes.
+/// Two threads leave an input each, and then one of them takes. Returns the first input that it takes.
 fn two_leave(plant: Option<Plant>) -> u8 {
     let (inbox, mut taker) = Inbox::<u8, _>::planted(plant);
     let inbox = Arc::new(inbox);

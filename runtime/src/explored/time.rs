@@ -19,7 +19,7 @@ enum Found {
     AfterSleep,
 }
 
-/// The Timer thread has served one expiry and looks for the next, while another thread publishes an expiry.
+/// The Timer thread has served one deadline and searches the next, while another thread publishes a deadline.
 fn publish_while_looking(plant: Option<Plant>) -> Found {
     let alarm = alarm(2, plant);
     alarm.publish(1, 3);
@@ -58,7 +58,7 @@ fn without_its_fence_the_alarm_hides_an_expiry() {
     }
 }
 
-/// The present instant in the scenes of this module, for all threads.
+/// The current instant for all threads of these scenes.
 const NOW: Micros = 3;
 
 /// Runs the Timer thread until it must end. Returns how often it served an expiry.
@@ -71,7 +71,8 @@ fn serve(alarm: &Planted, closing: &AtomicBool, mut tend: impl FnMut()) -> u32 {
     served
 }
 
-/// The node closes while the Timer thread works or sleeps. Returns how often that thread had served an expiry before.
+/// The node closes while the Timer thread works or sleeps. Returns how many deadlines that thread served before it
+/// ended.
 fn close(plant: Option<Plant>) -> u32 {
     let alarm = alarm(1, plant);
     let closing = Arc::new(AtomicBool::new(false));
@@ -94,7 +95,7 @@ fn looking_for_the_end_too_soon_sleeps_through_it() {
     must_fail(DEADLOCK, || close(Some(Plant::EndBeforeRung)));
 }
 
-/// A machine that has one expiry: now, or a long time from now.
+/// A state machine with one deadline: now, or a long time from now.
 struct Timed {
     alarm: Arc<Planted>,
     cover: Cover,
@@ -105,7 +106,7 @@ struct Timed {
 enum Moment {
     /// The task makes a request with a long time_out.
     Asked,
-    /// Input of another thread sets an expiry that is due now.
+    /// An input of another thread sets a deadline that is due now.
     Sooner,
     TimeIsUp,
     Nothing,
@@ -118,7 +119,7 @@ impl Listed for Moment {
 impl Protected for Timed {
     type Input = Moment;
     type Completion = ();
-    /// Whether this thread has served the expiry.
+    /// Whether this thread has served the deadline.
     type Effects = bool;
 
     fn may_wait(_input: &Moment) -> bool {
@@ -151,8 +152,8 @@ enum ServedBy {
     TheTimer,
 }
 
-/// A task goes to sleep for a long time while an expiry comes that is due at once. Either the task sees that expiry before
-/// it sleeps, or the Timer thread serves it.
+/// A task goes to sleep for a long time while another thread sets a deadline that is due at once. Either the task
+/// sees that deadline before it sleeps, or the Timer thread serves it.
 fn an_expiry_changes_hands(covers_all: bool) -> ServedBy {
     let alarm = alarm(1, None);
     let mut cover = Cover::new(0);
@@ -197,7 +198,7 @@ fn an_expiry_before_the_end_of_the_sleep_needs_the_timer() {
     must_fail_large(DEADLOCK, || an_expiry_changes_hands(true));
 }
 
-/// A machine whose expiries only the Timer thread serves. Most of its requests are answered in time.
+/// A state machine whose deadlines only the Timer thread serves. Most of its requests are answered in time.
 struct Kept {
     cover: Cover,
     now: Micros,
@@ -205,13 +206,13 @@ struct Kept {
 }
 
 impl Kept {
-    /// The instant at which the machine next expires has changed.
+    /// Sets the state machine's next deadline.
     fn expires(&mut self, due: Micros, alarm: &Planted) {
         self.due = due;
         self.settle(alarm);
     }
 
-    /// The Timer thread advances the machine.
+    /// Advances the state machine in the Timer thread.
     fn time_is_up(&mut self, alarm: &Planted) {
         self.now = NOW;
         self.due = if self.due <= NOW { FAR } else { self.due };
@@ -225,8 +226,8 @@ impl Kept {
     }
 }
 
-/// A machine makes a request, gets its answer in time, and makes two more requests, the last with a shorter time_out;
-/// the Timer thread serves the machine. Returns which expiry is published after the answer.
+/// A state machine makes a request and gets its answer in time. Then it makes two more, the last with a shorter
+/// time_out. The Timer thread serves the machine. Returns which deadline is published after the answer.
 fn an_answered_request_stays_published(keeps: Option<Keeps>) -> Micros {
     let alarm = alarm(1, None);
     let mut cover = Cover::new(0);

@@ -6,8 +6,8 @@ use super::{DEADLOCK, must_fail_large};
 use crate::explorer::{Arc, explore_large, thread};
 use crate::sync::handoff::{Handoff, Plant};
 
-/// The task makes a request and waits. One thread brings the answer, or leaves it in the inbox while another thread
-/// visits. Returns whether the visitor handled the answer.
+/// The task makes a request and waits. One thread brings the answer, or leaves it in the inbox because another
+/// thread, the visitor, has the lock. Returns whether the visitor handled the answer.
 fn ask_while_visited(plant: Option<Plant>) -> bool {
     let handoff = Arc::new(Handoff::planted(Toy::default(), None, plant));
     let [theirs, visited] = [(); 2].map(|()| Arc::clone(&handoff));

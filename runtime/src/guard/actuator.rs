@@ -1,10 +1,9 @@
 //! Helps a program that moves a tool to act for only one task of a couple at a time.
 //!
-//! Two work-coupled tasks never act at the same time, but the processes that act for them may be stopped, suspended, or
-//! left behind by nodes that die. So the program that moves the tool makes a check of its own. A *gate* is a file that
-//! holds the newest epoch; all processes that move the tool share it. A process shows its epoch to the gate before it
-//! acts. From then on the gate refuses older epochs, even in the middle of their work.
-//!
+//! Two work-coupled tasks never act at the same time. But a process that acts for one of them may be stopped, or
+//! suspended, or may outlive its node. So the program that moves the tool makes a check of its own. A *gate* is a
+//! file with the newest epoch; all processes that move the tool share it. A process shows its epoch to the gate
+//! before it acts. From then on the gate refuses older epochs, even in the middle of their work.
 //! What a command learns from the runtime that started it:
 //!
 //! | what | where |
@@ -91,7 +90,7 @@ pub enum Refused {
     Gate(#[from] GateError),
 }
 
-/// The present instant on the clock of deadlines: microseconds of `CLOCK_BOOTTIME`.
+/// The current instant on the clock of deadlines: microseconds of `CLOCK_BOOTTIME`.
 #[must_use]
 pub fn now() -> u64 {
     clock::now()
@@ -99,8 +98,8 @@ pub fn now() -> u64 {
 
 /// The file that holds the newest epoch of a tool, shared by all programs that act with the tool.
 ///
-/// A second file beside it, `PATH.next`, is the queue: a program that waits for an admission locks this file, and steps that
-/// begin then wait for it. So steps in close succession keep no newer epoch out.
+/// A second file beside it, `PATH.next`, is a queue: a program that waits for an admission locks this file, and later
+/// steps wait until it is free. So a program whose steps follow each other closely cannot keep a newer epoch out.
 ///
 /// The file survives a restart of the machine. When the whole cell restarts, its epochs begin anew. So
 /// [`reset`](Self::reset) the gate before that, or keep the file where a restart of the machine removes it (`/run`).
@@ -289,7 +288,7 @@ impl Permit {
     /// # Errors
     /// [`Refused`]: nothing was done.
     pub fn act<R>(&mut self, step: impl FnOnce() -> R) -> Result<R, Refused> {
-        // A program that waits for an admission holds `next` exclusively, and is admitted before the step begins.
+        // If a program waits for an admission, it holds `next`, so this step waits until that program is admitted.
         lock(&self.next, &self.path, FlockOperation::LockShared)?;
         lock(&self.next, &self.path, FlockOperation::Unlock)?;
         lock(&self.file, &self.path, FlockOperation::LockShared)?;
@@ -337,7 +336,8 @@ impl Deadline {
         Self::at(u64::MAX)
     }
 
-    /// Moves the deadline to a later instant. An earlier instant changes nothing; after a [`stop`](Self::stop) no instant does.
+    /// Moves the deadline to a later instant. An earlier instant changes nothing. After a [`stop`](Self::stop),
+    /// nothing changes it.
     pub fn renew(&self, micros: u64) {
         let later = |now: u64| (now != STOPPED && micros > now).then_some(micros);
         // The update fails if it would change nothing, and that is no error.
@@ -370,7 +370,7 @@ impl Deadline {
 /// The values that the runtime passes to a command in environment variables.
 #[derive(Clone, Debug)]
 pub struct Orders {
-    /// The epoch of the lease of the command's task; `None` if the task is in no couple.
+    /// The epoch of the lease of the command's task; `None` if the task has no partner with which it shares a lease.
     pub epoch: Option<u8>,
     /// Until when the command may act; [`Deadline::none`] if no runtime started the program.
     pub deadline: Deadline,

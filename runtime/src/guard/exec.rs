@@ -1,4 +1,4 @@
-//! The process that becomes the command. It makes sure that it ends when its guard ends, gives up a node's real-time
+//! The process that becomes the command. It ties its end to that of its guard, gives up a node's real-time
 //! privileges, and executes the program.
 
 use super::words::Errand;
@@ -30,7 +30,7 @@ pub fn exec(errand: &Errand) -> ExitCode {
     let mut line = UNSTARTED.to_vec();
     line.extend(error.raw_os_error().unwrap_or_default().to_string().bytes());
     line.push(b'\n');
-    // Writing fails only if the guard is gone, and then no process reads this line.
+    // Writing fails only if the guard has ended, and then no process reads this line.
     let _ = io::stdout().write_all(&line);
     ExitCode::from(NOT_FOUND)
 }
@@ -54,9 +54,9 @@ fn become_it(errand: &Errand) -> io::Error {
     }
 }
 
-/// Makes this process ordinary. A node under `--rt` runs under SCHED_FIFO on one core, and so does its guard. The command runs
-/// under the ordinary scheduler on the cores that the launcher had. Its memory is not locked, because locks do not pass to other
-/// programs.
+/// Takes the real-time privileges from this process. A node under `--rt` runs under SCHED_FIFO on one core, and so
+/// does its guard. The command runs under the ordinary scheduler, on the cores that the launcher had. Its memory is
+/// not locked, because memory locks end when a program is executed.
 fn be_ordinary(cores: Option<&str>) {
     if let Some(cores) = cores {
         let mut set = CpuSet::new();
@@ -65,7 +65,7 @@ fn be_ordinary(cores: Option<&str>) {
                 set.set(core);
             }
         });
-        // If a core of the launcher's list no longer exists, the process stays on its present cores.
+        // If a core of the launcher's list no longer exists, the process stays on its current cores.
         let _ = sched_setaffinity(None, &set);
     }
     let is_ordinary = matches!(thread_schedule_policy(), Ok(ThreadSchedulePolicy::Normal(_)));

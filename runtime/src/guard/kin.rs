@@ -11,7 +11,7 @@ use std::fs;
 /// Kills the process group of the command and every other descendant of this process, and waits until none remains. Returns how
 /// the command itself ended. This process must be a child subreaper, so that no descendant can leave it.
 pub fn end_all(command: Pid) -> Option<WaitStatus> {
-    // The command is not reaped yet, so no other process group can have its process id.
+    // The command has not been reaped yet, so no other process group can have its number.
     let _ = kill_process_group(command, Signal::KILL);
     let mut status = None;
     let mut options = WaitOptions::NOHANG;

@@ -28,7 +28,7 @@ pub enum Notice {
         /// The instant of the end.
         at: u64,
     },
-    /// The guard died first, so it is not known whether everything that the command started has ended.
+    /// The command's guard died first, so it is not known whether everything that the command started has ended.
     Lost {
         /// Identifies the command: the key that [`Began`](Self::Began) gave.
         key: String,

@@ -1,4 +1,4 @@
-//! A running guard, from the point of view of its node.
+//! A running guard (the process that ends a command with its node), from the point of view of the node.
 
 use super::kin::parent_of;
 use super::words::{Lines, Outcome, lease, read_began};
@@ -15,7 +15,7 @@ use std::process::{Child, ChildStdin, ChildStdout};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// A running guard.
+/// A running guard: the process that ends a command with its node.
 pub struct Running {
     state: Mutex<State>,
     over: Condvar,
@@ -26,7 +26,7 @@ struct State {
     guard: Option<(Child, ChildStdout)>,
     /// The guard's standard input. The command may run as long as this pipe is open.
     orders: Option<ChildStdin>,
-    /// The end of the lease, as the guard knows it.
+    /// The end of the lease that the guard was told last.
     until: u64,
     is_over: bool,
 }
@@ -42,8 +42,8 @@ impl Running {
         Ok(Self { state: Mutex::new(state), over: Condvar::new() })
     }
 
-    /// Listens to the guard until it has ended. Returns how its command ended; `None` if the guard did not say. Calls
-    /// `renew` repeatedly; `renew` returns after how many microseconds its next call is due.
+    /// Follows the guard until it has ended. Returns how its command ended; `None` if the guard did not report it.
+    /// Calls `renew` repeatedly; `renew` returns after how many microseconds to call it again.
     pub fn follow(&self, renew: impl Fn() -> Option<u64>) -> Option<Outcome> {
         let (mut guard, mut words) = self.lock().guard.take()?;
         let (mut lines, mut group, mut outcome) = (Lines::default(), None, None);

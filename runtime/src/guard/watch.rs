@@ -26,7 +26,7 @@ const PIECE: usize = 1 << 14;
 
 /// Guards a command until it and everything that it started have ended, and reports how it ended.
 pub fn watch(errand: &Errand) -> ExitCode {
-    // If the launcher is gone, no notice is needed.
+    // If the launcher has ended, no notice is needed.
     let notices = errand.notices.as_ref().and_then(|(path, key)| Some((Notices::open(path).ok()?, key)));
     let outcome = match over_before(errand) {
         Some(outcome) => outcome,
@@ -99,14 +99,14 @@ struct Watch {
     ended: OwnedFd,
     /// A file descriptor that is readable once the deadline has passed, however long the machine was suspended.
     timer: OwnedFd,
-    /// The deadline to which the timer is set, and which the command knows.
+    /// The deadline for which the timer is set. `told` is the deadline that the command knows.
     armed: Option<u64>,
     told: Option<u64>,
     input: Option<ChildStdin>,
     output: Answer,
 }
 
-/// The output of a command. The first line is kept, the other lines are dropped.
+/// The output of a command. Its first line is kept; the other lines are dropped.
 struct Answer {
     pipe: ChildStdout,
     is_open: bool,

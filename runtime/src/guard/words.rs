@@ -3,7 +3,7 @@
 use std::ffi::{OsStr, OsString};
 use std::path::PathBuf;
 
-/// What a guard must do. Instants are microseconds of `CLOCK_BOOTTIME`.
+/// The task of a guard. Instants are microseconds of `CLOCK_BOOTTIME`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Errand {
     /// The instant at which the time of the action is over; `u64::MAX` never comes.
@@ -30,7 +30,7 @@ impl Errand {
         self.lease.map_or(self.limit, |lease| lease.min(self.limit))
     }
 
-    /// What the guard must do, as arguments of the guard program.
+    /// Converts the errand into arguments of the guard program.
     pub fn words(&self) -> Vec<OsString> {
         let mut words = vec!["--limit".into(), self.limit.to_string().into()];
         let mut add = |name: &str, value: Option<OsString>| {
@@ -50,7 +50,7 @@ impl Errand {
         words
     }
 
-    /// Reads from the arguments of the guard program what the guard must do. `None` if the arguments are invalid.
+    /// Reads an errand from the arguments of the guard program; `None` if they are invalid.
     pub fn read(words: &[OsString]) -> Option<Self> {
         let split = words.iter().position(|word| word == "--")?;
         let (options, command) = (&words[..split], &words[split + 1..]);

@@ -40,7 +40,7 @@ pub struct Injected {
 }
 
 impl<L> FaultyLink<L> {
-    /// Wraps the link `inner`, without any fault yet. Two links with the same seed lose the same sends.
+    /// Wraps the link `inner`; there are no faults yet. Two links with the same seed lose the same sends.
     #[must_use]
     pub fn new(inner: L, seed: u64) -> Self {
         let random = fastrand::Rng::with_seed(seed);
@@ -172,7 +172,8 @@ impl<L: Link> Link for FaultyLink<L> {
         self.inner.evidence()
     }
 
-    /// While a neighbour is cut off, none hears the goodbye.
+    /// Says goodbye through the inner link, but not while any neighbour is cut off, because that neighbour must not
+    /// hear it.
     fn goodbye(&self) {
         let now = Instant::now();
         let is_cut = {

@@ -13,7 +13,7 @@ use std::collections::BinaryHeap;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// How many packets can wait for one node before its neighbours find it busy.
+/// How many packets can wait for one node. If this many wait, its neighbours cannot send to it.
 const CAPACITY: usize = 1024;
 /// How many packets are taken from the network under one lock.
 const AT_ONCE: usize = MAX_PACKETS;
@@ -52,13 +52,13 @@ struct State {
     departures: u64,
     /// The incarnation of the node at this end; `None` while there is no node.
     start: Option<Start>,
-    /// For each node, its incarnation of which this node heard last.
+    /// For each other node, the incarnation of it that this node last received packets from.
     heard: Vec<Option<Incarnation>>,
     /// Reusable storage for packets that have arrived. The polling thread takes this storage while it works.
     landed: Vec<Landed>,
-    /// Whether a neighbour found this node busy.
+    /// Whether a neighbour could not send to this node because too many packets waited.
     starved: bool,
-    /// Whether this node was busy and takes packets again, so that its neighbours must be told.
+    /// Whether this node takes packets again after too many waited, so that its neighbours must be notified.
     ready: bool,
     woken: bool,
     draws: fastrand::Rng,
@@ -80,7 +80,7 @@ struct Flight {
     packet: Packet,
 }
 
-/// A packet that has arrived, and whether the incarnation that sent it was known before.
+/// A packet that has arrived, and whether its receiver knew the sending incarnation before.
 #[derive(Clone, Copy, Debug)]
 struct Landed {
     flight: Flight,
@@ -201,7 +201,8 @@ impl InProcess {
         let Some(&Landed { flight: Flight { from, start, left, .. }, known }) = together.first() else {
             return;
         };
-        // Packets that a node sent before it ended still count. Packets of an earlier incarnation of a running node do not.
+        // Packets of a node that has ended still count. If the node runs again, packets of its earlier incarnation do
+        // not.
         let now_there = self.network.ends[from.index()].lock().start;
         if now_there.is_some_and(|now_there| now_there != start) {
             return together.iter().for_each(|_| sink.discarded(LinkDiscard::StaleIncarnation));

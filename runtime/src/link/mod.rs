@@ -1,7 +1,7 @@
 //! The primitive layer (§5.2.4): how packets leave a node and arrive at a node.
 //!
-//! A link moves packets between neighbouring nodes and knows nothing of tasks. It may lose, repeat, delay and reorder them.
-//! With the packets that it hands over, it says how much of their remaining time the hop has cost.
+//! A link moves packets between neighbouring nodes, and knows nothing of tasks. It may lose, repeat, delay and
+//! reorder packets. When it hands packets over, it says how much of their remaining time the hop has cost.
 
 pub mod faulty;
 pub mod in_process;
@@ -115,10 +115,10 @@ pub trait Link: Send + Sync {
     /// call this (leader and followers). A wake-up while no thread polls ends the next poll.
     fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd;
 
-    /// Ends a poll: the present one, or else the next one.
+    /// Ends the current poll; if there is none, the next poll.
     fn wake(&self);
 
-    /// The failures of the link itself that no sink was told, counted by name.
+    /// Failures of the link itself, counted by name. They are not reported to the sink.
     fn failures(&self) -> Vec<(&'static str, u64)> {
         Vec::new()
     }
@@ -129,8 +129,8 @@ pub trait Link: Send + Sync {
         Vec::new()
     }
 
-    /// Tells the neighbours that this node has stopped in order. Called when nothing of the node runs any more. By default it does
-    /// nothing.
+    /// Tells the neighbours that this node has stopped in order. Called when no task of the node runs any more. The
+    /// default does nothing.
     fn goodbye(&self) {}
 
     /// How long datagrams from each neighbour took, and how many were damaged, as far as the link measures that.
@@ -156,7 +156,7 @@ pub trait Leading: Send + Sync {
     /// Returns false if the polling thread is receiving, because that thread then receives these datagrams, too.
     fn take_in(&self, sink: &dyn Sink) -> bool;
 
-    /// Ends the present wait, or else the next one.
+    /// Ends the current wait; if there is none, the next wait.
     fn call(&self);
 }
 
@@ -187,7 +187,7 @@ pub enum LinkDiscard {
     NotImrs,
     /// The envelope has another version.
     Version,
-    /// The envelope has another mode than this node's.
+    /// The envelope has another mode (with or without keys) than this node's.
     Mode,
     /// The datagram is of a cell with other declarations.
     OtherCell,
@@ -214,8 +214,8 @@ pub enum LinkDiscard {
     RefusedByPeer,
     /// The datagram belongs to a handshake that was encrypted with other keys.
     OtherKeys,
-    /// The datagram belongs to a session with keys, or to a handshake, that this node does not have, or no
-    /// longer has.
+    /// The datagram belongs to a session with keys, or to a handshake, that this node does not have, or does not have
+    /// any more.
     StaleSession,
     /// The datagram was not encrypted with the keys of its session.
     Forged,

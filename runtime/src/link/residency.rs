@@ -1,14 +1,14 @@
 //! Computes how long a datagram waited in the kernel (D50).
 //!
-//! The kernel stamps a datagram with the *wall clock* when it arrives, and the wall clock may be set at any time. So a
-//! stamp counts only if the wall clock and the monotonic clock advanced by the same time since the socket was last seen
-//! empty. Otherwise the datagram may have arrived at any moment since then, and that whole time is charged. No datagram
-//! can have waited longer.
+//! The kernel stamps a datagram with the *wall clock* when it arrives, and the wall clock may be set at any time. So
+//! a stamp counts only if the wall clock and the monotonic clock advanced equally since the socket was last seen
+//! empty. Otherwise that whole time counts as waiting, because the datagram may have arrived at any moment since then,
+//! but not earlier.
 
 use crate::clock;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-/// How much the difference of the clocks may seem to change by rounding alone, in nanoseconds.
+/// By how many nanoseconds the clocks' difference may change through rounding alone.
 const ROUNDING: i128 = 1_000;
 /// The longest time that a reading of the clocks may take. A reading that took longer was interrupted, and is repeated.
 const INTERRUPTED: Duration = Duration::from_micros(20);
@@ -90,8 +90,8 @@ pub fn residency(now: &Reading, stamp: Option<Duration>, empty: &Reading) -> Res
     }
 }
 
-/// Whether the clocks advanced differently between two readings. Each reading gives a range for their difference; if the clocks
-/// advanced alike, the ranges overlap.
+/// Whether the clocks advanced differently between two readings. Each reading gives a range for the clocks'
+/// difference. If the clocks advanced equally, the two ranges overlap.
 fn clock_was_set(now: &Reading, then: &Reading) -> bool {
     let nanoseconds = |d: Duration| i128::try_from(d.as_nanos()).unwrap_or(i128::MAX);
     let realtime = nanoseconds(now.realtime) - nanoseconds(then.realtime);
@@ -175,7 +175,7 @@ mod tests {
     }
 
     proptest! {
-        /// The wall clock makes one step at any moment, of any size. The charge is never less than the true time
+        /// The test sets the wall clock by any amount at any moment. The computed wait is never less than the true one
         /// (except for tolerated rounding), and never more than the time since the socket was seen empty.
         #[test]
         fn never_too_little(

@@ -22,17 +22,17 @@ pub(crate) struct Comm {
     homes: Arc<Homes>,
     /// The answer that the task's future has not taken yet.
     pub answer: Option<Completion>,
-    /// Whether this task is already in the list of those tasks of its domain (tasks that share one lock) that
-    /// have changed.
+    /// Whether this task is already in its domain's list of changed tasks (a domain is the tasks that share one
+    /// lock).
     pub changed: bool,
     alarm: Arc<Alarm>,
     cover: Cover,
     /// Whether the task belongs to a couple (a primary or its standby). An input of such a task takes effect
     /// when the task takes it, if that is later than the input's stamp.
     coupled: bool,
-    /// The instant on the node's clock at which the machine's own clock began.
+    /// The instant on the node's clock at which the state machine's own clock began.
     started: Micros,
-    /// The log of the machine's steps, if they are recorded.
+    /// The log of the state machine's steps, if they are recorded.
     pub logged: Option<Logged>,
     pub ring: Ring,
     discards: [u64; Reason::ALL.len()],
@@ -91,12 +91,12 @@ impl Comm {
         })
     }
 
-    /// The time from the machine's present to `now`; zero if `now` is not later.
+    /// By how much `now` is later than the state machine's own time; zero if it is not later.
     pub const fn elapsed(&self, now: Micros) -> Ticks {
         Ticks(now.saturating_sub(self.now()))
     }
 
-    /// Whether nothing of this task becomes due until `now`.
+    /// Whether no deadline of this task ends before or at `now`.
     pub fn is_idle_until(&mut self, now: Micros) -> bool {
         now < self.due()
     }
@@ -106,7 +106,7 @@ impl Comm {
         self.coupled
     }
 
-    /// Whether the task's lease has ended by `now`, and the machine does not know it yet.
+    /// Whether the task's lease has ended by `now` although the state machine's clock has not reached that end yet.
     pub fn is_overdue(&self, now: Micros) -> bool {
         self.machine.lease_left().is_some_and(|left| self.now().saturating_add(left.0) <= now)
     }
@@ -115,12 +115,12 @@ impl Comm {
         &self.machine
     }
 
-    /// The time to which the machine has been advanced, on the node's clock.
+    /// The time to which the state machine has been advanced, on the node's clock.
     pub const fn now(&self) -> Micros {
         self.started + self.machine.now().0
     }
 
-    /// Lets the machine take one step. The machine's answers go to `answers`.
+    /// Lets the state machine take one step. The machine's answers go to `answers`.
     pub fn run(
         &mut self,
         elapsed: Ticks,
@@ -158,7 +158,7 @@ impl Comm {
         self.logged.is_some()
     }
 
-    /// Whether time has passed at the machine that is in no recorded step yet.
+    /// Whether the state machine's clock has advanced since the last recorded step.
     pub fn owes_time(&self) -> bool {
         self.logged.as_ref().is_some_and(Logged::owes_time)
     }
@@ -170,13 +170,13 @@ impl Comm {
         }
     }
 
-    /// The machine's state with up to `queue_limit` waiting messages of each port, and the instant for which this state
-    /// is true.
+    /// The state of the state machine at an instant, with up to `queue_limit` waiting messages of each port, and that
+    /// instant.
     pub fn view(&self, queue_limit: impl Fn(PortId) -> usize) -> (TaskView, Micros) {
         (self.machine.view_of(&self.table, queue_limit), self.now())
     }
 
-    /// The messages that wait at a port, and the instant for which this is true.
+    /// The messages that wait at a port at an instant, and that instant.
     pub fn queue(&self, port: PortId, limit: usize) -> Option<(QueueView, Micros)> {
         Some((self.machine.queue_view(port, limit)?, self.now()))
     }
@@ -189,8 +189,8 @@ impl Comm {
         &mut self.ring
     }
 
-    /// Records a message that expired after the machine gave it out and before its task had it: the last place where a
-    /// message can expire (§5.1.1).
+    /// Records a message that expired on its last stretch: after the state machine gave it out, and before the task's
+    /// program had it (§5.1.1).
     pub fn expired_in_hand(&mut self, message: &Delivery) {
         self.discards[Reason::Expired as usize] += 1;
         self.ring.push(
@@ -205,30 +205,33 @@ impl Comm {
         );
     }
 
-    /// When the machine next expires.
+    /// The instant of the state machine's next deadline.
     fn due(&mut self) -> Micros {
         self.started.saturating_add(self.machine.keep_deadline().0)
     }
 
-    /// Returns when the machine next expires, while its task's thread does `rest`.
+    /// Publishes the state machine's next deadline for the Timer thread, unless the task's own thread watches it.
+    /// Returns the deadline.
     pub fn settle(&mut self, rest: Rest) -> Micros {
         let due = self.due();
         self.cover.settle(&self.alarm, rest, due);
         due
     }
 
-    /// As [`settle`](Self::settle), for a task of which no thread sleeps until its expiry.
+    /// As [`settle`](Self::settle), for a script or a future: no thread of its own sleeps until its deadline.
     pub fn settle_shared(&mut self) {
         let due = self.due();
         self.cover.keep(&self.alarm, self.now(), due);
     }
 
-    /// Whether the task may begin a fused step: a pause of the node cannot end its lease, and its log does not want its state first.
+    /// Whether the task may take part in a fused step (one that replaces several small steps). A task of a couple may
+    /// not, because a pause of the node can end its lease. Nor may a task whose recording needs a keyframe first.
     pub const fn is_usual(&self) -> bool {
         !self.coupled && !matches!(&self.logged, Some(logged) if logged.wants_keyframe())
     }
 
-    /// Whether the task may take its part at `now` in a fused step that another one begins. `RECORDS`: whether it may be recorded.
+    /// Whether the task can take part at `now` in a fused step that another task begins. `RECORDS`: whether tasks are
+    /// recorded.
     #[inline(always)]
     pub fn takes_part<const RECORDS: bool>(&mut self, now: Micros) -> bool {
         self.is_usual()
@@ -236,13 +239,15 @@ impl Comm {
             && self.catch_up_with(now)
     }
 
-    /// Whether the task's script has a signal of an earlier fused step. A replay gives the script each signal before the task's next
-    /// input, so a recorded task takes no part in a further fused step until then.
+    /// Whether the task's script has not taken a signal of an earlier fused step yet. A replay gives the script each
+    /// signal before the task's next input. So a recorded task takes part in no further fused step until its script
+    /// has the signal.
     fn has_told_script(&self) -> bool {
         self.runner.as_ref().is_some_and(|runner| runner.has_input())
     }
 
-    /// Lets time pass up to `now` without a step. Returns false, and changes nothing, if more than time alone would happen.
+    /// Advances the state machine's clock to `now`. Returns false, and changes nothing, if anything is due before
+    /// that.
     #[inline]
     pub fn catch_up_with(&mut self, now: Micros) -> bool {
         self.now() == now || self.let_idle_time_pass(now)
@@ -260,13 +265,14 @@ impl Comm {
     /// Takes an input of a task that has no script.
     #[inline]
     pub fn take(&mut self, stamped: &mut Stamped, effects: &mut Effects) -> Option<Completion> {
-        // The bringing thread, and with it the node, may have been stopped since it read the clock: a lease that has ended
-        // meanwhile ends before the input has any effect (D153).
+        // The thread, or the whole node, may have been stopped since the thread read the clock. If the lease ended
+        // meanwhile, it must end before the input has any effect (D153).
         let at = if self.coupled { stamped.at.max(clock::now_by_kernel()) } else { stamped.at };
         let elapsed = self.elapsed(at);
         let at = self.now() + elapsed.0;
         if let Input::Packet(packet) = &mut stamped.input {
-            // Another thread has advanced the machine further: the packet is charged for that wait, too.
+            // The packet also pays for the time by which another thread has advanced the state machine beyond
+            // `stamped.at`.
             packet.remaining = packet.remaining - Ticks(at.saturating_sub(stamped.at));
         }
         let mut completion = None;
@@ -276,16 +282,16 @@ impl Comm {
     }
 }
 
-/// An answer of the machine to its task.
+/// An answer of the state machine to its task.
 #[derive(Clone, Copy, Debug)]
 pub struct Completion {
     /// The answer itself.
     pub signal: Signal,
-    /// The instant at which the machine gave the answer.
+    /// The instant at which the state machine gave the answer.
     pub at: Micros,
 }
 
-/// The outbox that the machine fills while it takes one input.
+/// The outbox that the state machine fills while it takes one input.
 struct Out<'a> {
     at: Micros,
     task: TaskId,

@@ -35,7 +35,8 @@ use imrs_wire::envelope::MAX_PACKETS;
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 
-/// How many inputs from one member to another are taken in one turn: as many as a datagram brings (D112).
+/// How many inputs that members send each other are taken in one turn, before the lock is released: as many as a
+/// datagram has packets (D112).
 const TURN: usize = MAX_PACKETS;
 
 /// The communication tasks of a domain.
@@ -44,7 +45,7 @@ pub(crate) struct Domain {
     members: Vec<Comm>,
     table: NodeTable,
     homes: Arc<Homes>,
-    /// Whether a member is recorded.
+    /// Whether any member of the domain is recorded.
     records: bool,
     /// The members whose state was changed in this turn, each listed once.
     changed: Vec<usize>,
@@ -61,7 +62,7 @@ impl Domain {
         &mut self.members[member]
     }
 
-    /// Works on the script of a member, together with its communication task.
+    /// Calls `work` with the script of a member, if it has one, and with the member's communication task.
     pub fn with_runner(
         &mut self,
         member: usize,
@@ -94,9 +95,8 @@ impl Domain {
         }
     }
 
-    /// Takes the answer for a member's future. If there is no answer yet, the future asks. Its answer, and
-    /// the answers for other members to which this leads, go to `answers`, because the calling thread is that
-    /// of the futures.
+    /// Takes the answer that waits for a member's future. If no answer waits, makes the future's requests. Their
+    /// answer, and answers that other futures get by it, go to `answers`: the calling thread runs all futures.
     pub fn ask(&mut self, member: usize, asked: Asked<'_>, answers: &mut Answers, effects: &mut Effects) {
         if let Some(answer) = self.members[member].answer.take() {
             return answers.put(member, answer);
@@ -116,7 +116,7 @@ impl Domain {
         }
     }
 
-    /// As [`ask`](Self::ask), for a member whose program does not take answers any more.
+    /// Makes a request as [`ask`](Self::ask) does, for a member whose program takes no answers any more.
     pub fn tell(
         &mut self,
         member: usize,
@@ -135,7 +135,7 @@ impl Domain {
         turn
     }
 
-    /// As [`turn_of`](Self::turn_of), for a member that itself notes whether it changes.
+    /// As [`turn_of`](Self::turn_of), but the caller must call `change` if the member's next expiry may change.
     fn unchanged(&mut self, member: usize) -> Turn<'_> {
         let Self { members, table, homes, changed, records, .. } = self;
         Turn { members, member, table, homes, records: *records, changed }
@@ -182,30 +182,29 @@ impl Protected for Domain {
         while let Some(member) = self.changed.pop() {
             let member = &mut self.members[member];
             member.changed = false;
-            // No thread sleeps until the expiry of a script or a future.
+            // No thread sleeps until the deadline of a script or a future, so the Timer thread must know it.
             member.settle_shared();
         }
         Micros::MAX
     }
 }
 
-/// What a future asks of its communication task: that time passes, a request, or a REPLY and the GET (the
-/// request for the next message) that follows once the REPLY is accepted (D200).
+/// What a future asks of its communication task. It lets time pass, makes one request, or makes two: a REPLY and a
+/// GET (the request for the next message), which follows once the REPLY is accepted (D200).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Asked<'a> {
-    /// The time of the requests.
+    /// The instant at which the future makes the requests.
     pub at: Micros,
-    /// The request; `None`: only time passes.
+    /// The request; `None` if only time passes.
     pub request: Option<&'a Request>,
-    /// The GET after the REPLY that `request` is.
+    /// The GET that follows a REPLY in `request`.
     pub then: Option<&'a Request>,
 }
 
-/// Answers for futures that the thread of the futures brought itself. The calls of these futures find them
-/// here without taking the lock.
+/// Answers that the thread of the futures itself caused. A future finds its answer here without taking the lock.
 #[derive(Debug, Default)]
 pub(crate) struct Answers {
-    /// The answers by member of the domain.
+    /// The answer for each member of the domain; `None` if there is none.
     of: Vec<Option<Completion>>,
 }
 
@@ -223,19 +222,18 @@ impl Answers {
     /// The answer for a member, if there is one.
     pub fn take(&mut self, member: usize) -> Option<Completion> {
         let of = self.of.get_mut(member)?;
-        // `take` alone would also copy an absent answer.
+        // The check comes first, because `take` would write to the slot even if it is empty.
         if of.is_some() { of.take() } else { None }
     }
 }
 
-/// A communication task of the domain, as the holder of the lock works on it, and the other members of the
-/// domain.
+/// One communication task of the domain, for the thread that holds the lock. It can also reach the other members.
 pub(crate) struct Turn<'a> {
     members: &'a mut [Comm],
     member: usize,
     table: &'a NodeTable,
     homes: &'a Homes,
-    /// Whether a member of the domain is recorded.
+    /// Whether any member of the domain is recorded.
     records: bool,
     changed: &'a mut Vec<usize>,
 }
@@ -261,8 +259,8 @@ impl Turn<'_> {
         }
     }
 
-    /// Makes the requests of the member's future, or lets time pass. Returns whether all results of that are
-    /// in `answers`, because it was one fused step.
+    /// Makes the requests of the member's future, or lets time pass. Returns true if one fused step did everything,
+    /// so that all answers are in `answers`.
     fn ask(
         &mut self,
         Asked { at, request, then }: Asked<'_>,
@@ -280,7 +278,7 @@ impl Turn<'_> {
             && self.catch_up_with(at)
             && self.fuse((request, then), &mut ToFutures { own, answers }, effects)
         {
-            // Two requests bring the task no new deadline: an answer, and a wait without a time_out.
+            // Two kinds of request set no new deadline for the task: a REPLY, and a GET without a time_out.
             let last = then.unwrap_or(request);
             if !matches!(last, Request::Reply { .. } | Request::Get { time_out: None, .. }) {
                 self.change(own);

@@ -49,7 +49,7 @@ pub(crate) struct Inside {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum What {
     Input,
-    /// A mark that a fused step has given a signal to the member's script.
+    /// A mark: a fused step (one that replaces several small steps) has given a signal to the member's script.
     Told,
 }
 
@@ -59,7 +59,7 @@ impl Inside {
         self.inputs.push_back(input);
     }
 
-    /// Notes that a fused step has given a signal to the member's script.
+    /// Notes that a fused step (one that replaces several small steps) has given a signal to the member's script.
     pub fn told(&mut self, to: Home) {
         self.order.push_back((to, What::Told));
     }
@@ -93,7 +93,7 @@ impl Inside {
 pub(crate) struct Effects {
     pub queue: VecDeque<Effect>,
     pub inside: Inside,
-    /// The places on the node of the futures for which there is an answer.
+    /// The positions on the node of the futures that have an answer to take.
     pub called: Vec<usize>,
     /// Whether this is the thread of the node's futures.
     pub of_the_futures: bool,
@@ -103,13 +103,13 @@ pub(crate) struct Effects {
     pub steps: u32,
     /// Packets for links, each with the instant at which its remaining time was true.
     pub leaving: Vec<(Micros, Packet)>,
-    /// Whether the packets in `leaving` wait for more packets.
+    /// Whether the packets in `leaving` are kept until later packets can leave with them.
     pub holds: bool,
-    /// The task whose thread this is, if the thread waits for answers.
+    /// The task whose own thread this is, if this thread waits for answers.
     pub waiter: Option<TaskId>,
     /// Packets for scripts of the node, and packets that came over a link together with others.
     pub bundles: Bundles,
-    /// The time of this thread's present turn for scripts; `None` between two turns.
+    /// The instant of this thread's current turn for scripts; `None` between two turns.
     pub turn: Option<Micros>,
 }
 
@@ -125,17 +125,17 @@ const RECEIVED: usize = MAX_PACKETS * SEGMENTS;
 /// allocates the room for them when it starts, because many packets may arrive together for the first time after hours.
 #[derive(Debug)]
 pub(crate) struct Bundles {
-    /// The held inputs, each with the position of the next input for the same task. A free entry has the position of
-    /// the next free entry.
+    /// The held inputs, each with the index of the next input for the same task. A free entry has the index of the
+    /// next free entry.
     held: Vec<(Addressed, usize)>,
-    /// The position of the first free entry; beyond the end if there is none.
+    /// The index of the first free entry; an index past the end if no entry is free.
     free: usize,
     /// The bundle of each task, by its position among the node's tasks.
     of: Vec<Bundle>,
-    /// The tasks that have held inputs, in the order in which they got them; a task is listed once for every [`BUNDLE`]
-    /// of packets.
+    /// The tasks that have held inputs, in the order in which the inputs came. A task is listed once for every
+    /// [`BUNDLE`] of its inputs.
     full: VecDeque<usize>,
-    /// An empty queue, whose memory the next task that holds packets uses again.
+    /// An empty queue, kept so that the next call of `pop` need not allocate one.
     spare: VecDeque<Addressed>,
 }
 
@@ -191,7 +191,7 @@ impl Bundles {
         self.full.is_empty()
     }
 
-    /// Takes the inputs that one task gets next. The caller must [give back](Self::give_back) the queue, empty.
+    /// Takes a task's next inputs, as a queue. The caller must empty this queue and [give it back](Self::give_back).
     pub fn pop(&mut self) -> Option<(usize, VecDeque<Addressed>)> {
         let place = self.full.pop_front()?;
         let bundle = &mut self.of[place];
@@ -268,7 +268,7 @@ mod tests {
         Addressed { member: 0, stamped: Stamped { at, input: Input::Time } }
     }
 
-    /// Puts as many inputs for each place as `counts` says, and takes all of them out.
+    /// Puts `counts[i]` inputs for each task `i` into the bundles, and then takes all inputs out.
     fn through(bundles: &mut Bundles, counts: &[usize]) -> Vec<(usize, Vec<Micros>)> {
         // The inputs for several tasks are interleaved, as packets for several tasks are.
         let most = counts.iter().copied().max().unwrap_or(0);
@@ -299,7 +299,7 @@ mod tests {
             ];
             assert_eq!(out, expected);
         }
-        // One task more than the number of tasks for which there is room.
+        // This input is for a task beyond the number of tasks for which there is room.
         assert_eq!(through(&mut bundles, &[0, 0, 1]), [(2, vec![0])]);
     }
 

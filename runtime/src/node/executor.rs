@@ -22,9 +22,9 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::task::{Context, Poll, Wake, Waker};
 use std::thread::JoinHandle;
 
-/// After this many waits in a row that the link did not end, the thread stops leading until the link brings something:
-/// to be woken in the link costs two more syscalls than a wake-up elsewhere. One wait is too few, because each delay of
-/// a future ends a wait.
+/// After this many waits in a row that no datagram ended, the thread stops waiting in the socket until a datagram
+/// comes for a future. A wake-up in the socket costs two syscalls more than one elsewhere. One wait is too few,
+/// because each delay of a future ends a wait.
 const ELSEWHERE: u32 = 8;
 
 impl Node {
@@ -45,7 +45,7 @@ impl Node {
         effects: &mut Effects,
     ) -> (R, bool) {
         let local = &self.locals.list[place];
-        // A panic here is a panic of the runtime, although a program is being polled.
+        // `work` is code of the runtime, so a panic in it ends the process, although a future is being polled.
         let work = |domain: &mut Domain, effects: &mut Effects| {
             guarded("a communication task", || work(domain, local.home.member(), effects))
         };
@@ -174,12 +174,12 @@ struct Waits<'a> {
     park: &'a Park,
     /// The buffers with which the thread receives. Made when the thread first leads.
     inlet: Option<Inlet>,
-    /// How many waits in a row ended for another reason than the link.
+    /// How many waits in a row ended without a datagram for a future.
     elsewhere: u32,
 }
 
 impl Waits<'_> {
-    /// Waits in the link if a future's answer is likely to come from there, else asleep.
+    /// Waits in the link's socket if a datagram is likely to bring the next answer; otherwise sleeps.
     fn wait(&mut self) {
         let node = self.node;
         let by_link = node.futures_by_link.swap(false, Ordering::Relaxed);

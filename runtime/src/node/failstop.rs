@@ -26,8 +26,9 @@ impl Drop for FailStop {
     }
 }
 
-/// Writes a line to standard error if that does not block: a reader that stands still must not hold up the abort. The
-/// write bypasses the lock of `std::io::stderr`, which another thread may hold while its own write blocks.
+/// Writes a line to standard error if that does not block: a reader that does not read must not delay the abort. The
+/// write bypasses the lock of `std::io::stderr`, because another thread may hold that lock while its own write
+/// blocks.
 fn say(line: &str) {
     let error = stderr();
     let at_once = Timespec { tv_sec: 0, tv_nsec: 0 };

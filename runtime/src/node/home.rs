@@ -13,14 +13,14 @@ pub(crate) enum RunBy {
     TheThreadOfFutures,
 }
 
-/// Where a communication task of the node is: in which domain, and at which position there.
+/// Where a communication task of the node is: in which domain (tasks that share one lock), and at which position there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Home {
     // These numbers are short because a home goes along with each packet. A cell has at most 65,536 tasks.
     place: u16,
     domain: u16,
     member: u16,
-    /// Which thread runs the task's program: the same for all members of a domain.
+    /// Which thread runs the task's program: the same for all tasks of a domain (they share one lock).
     pub run_by: RunBy,
 }
 
@@ -30,18 +30,18 @@ impl Home {
         self.place as usize
     }
 
-    /// The number of the task's domain: the place of that domain's first member.
+    /// The number of the task's domain: the position on the node of the domain's first member.
     pub const fn domain(self) -> usize {
         self.domain as usize
     }
 
-    /// The task's position among the members of its domain.
+    /// The task's position in its domain (the tasks that share one lock).
     pub const fn member(self) -> usize {
         self.member as usize
     }
 }
 
-/// For each communication task of a node: the domain in whose lock it lies, and its position there.
+/// The home of each communication task of a node: its domain (the tasks that share one lock), and its position there.
 #[derive(Debug)]
 pub(crate) struct Homes {
     /// The home of each task of the cell; `None` for tasks of other nodes.

@@ -21,7 +21,7 @@ impl Inlet {
         Self { node, effects: Mutex::new(effects) }
     }
 
-    /// A neighbour takes packets again: sends the packets that waited for it.
+    /// Sends the packets that waited for a neighbour, because the link can take packets for this neighbour again.
     pub fn ready(&self) {
         self.node.dispatch.ready();
         let mut effects = lock(&self.effects);
@@ -47,9 +47,9 @@ impl Sink for Inlet {
     fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool) {
         let Some(peer) = self.node.peer(node) else { return };
         let before = lock(&peer.incarnation).replace(incarnation);
-        // Requests to an earlier incarnation of the neighbour may or may not have run; no answer will tell. A request
-        // may even have gone to it before this node received anything from it. A neighbour that lost its state may
-        // start again with the number of an earlier incarnation.
+        // A command to an earlier incarnation of the neighbour may or may not have run, and no answer to it will
+        // come. This node may have sent the command before it received anything from the neighbour. A neighbour that
+        // lost its state may start again with the number of an earlier incarnation.
         if before.is_some() || restarted {
             self.node.tell_all(Input::PeerRestarted(node), clock::now(), &mut lock(&self.effects));
         }

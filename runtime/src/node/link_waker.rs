@@ -9,7 +9,7 @@ pub(crate) fn link_waker(link: Option<&Arc<dyn Link>>) -> Option<Arc<dyn ThreadW
     link.map(|link| Arc::new(LinkWaker(Arc::clone(link))) as Arc<dyn ThreadWaker>)
 }
 
-/// Wakes a thread that waits in the link.
+/// Wakes a thread that waits in the link's socket.
 struct LinkWaker(Arc<dyn Link>);
 
 impl ThreadWaker for LinkWaker {

@@ -1,4 +1,4 @@
-//! The communication tasks of a node, each behind its hand-off.
+//! The communication tasks of a node, each behind its hand-off: a lock with an inbox for the input of other threads.
 
 use crate::node::comm::Comm;
 use crate::node::domain::{Domain, Turn};
@@ -22,13 +22,14 @@ pub(crate) const BEGUN: u64 = u64::MAX;
 pub(crate) struct LocalTask {
     pub task: TaskId,
     pub home: Home,
-    /// The hand-off of the task's domain.
+    /// The hand-off of the task's domain: the lock that its tasks share, with an inbox for input.
     pub handoff: Arc<Handoff<Domain>>,
     waker: TaskWaker,
     liveness: AtomicU8,
-    /// How the thread of the futures marks this future. Set when that thread starts, if the task's program is a future.
+    /// How a future is marked as ready. Set when the thread of the futures starts; empty if the task is no future.
     pub marking: OnceLock<Marking>,
-    /// Whether the registered `waker` only sets the mark of `marking`. Only the thread of the futures uses this.
+    /// Whether the registered `waker` only sets the mark of `marking`. Only the thread of the futures reads and
+    /// writes this.
     pub is_plain: AtomicBool,
     /// When the task's script may begin, in microseconds of the node's clock; [`BEGUN`] once it has begun.
     pub begins: AtomicU64,
@@ -61,8 +62,8 @@ impl LocalTask {
         self.home.run_by == RunBy::AnyThread
     }
 
-    /// From here on, `waker` is called when there is an answer for the task's future. The thread of the futures calls
-    /// this function.
+    /// Registers `waker`, which is called whenever the task's future has an answer to take. Only the thread of the
+    /// futures calls this function.
     pub fn listen(&self, waker: &Waker) {
         let is_plain = self.marking.get().is_some_and(|marking| marking.waker.will_wake(waker));
         self.is_plain.store(is_plain, Ordering::Relaxed);
@@ -83,27 +84,27 @@ impl LocalTask {
         Addressed { member: self.home.member(), stamped }
     }
 
-    /// Brings input from any thread: see [`Handoff::deliver`].
+    /// Delivers an input from any thread: see [`Handoff::deliver`].
     pub fn deliver(&self, stamped: Stamped, effects: &mut Effects) {
         self.handoff.deliver(self.addressed(stamped), effects);
     }
 
-    /// As [`deliver`](Self::deliver), but the task has taken the input on return.
+    /// As [`deliver`](Self::deliver), but when this returns, the task has taken the input.
     pub fn deliver_now(&self, stamped: Stamped, effects: &mut Effects) {
         self.handoff.deliver_now(self.addressed(stamped), effects);
     }
 
-    /// Holds an input back in `effects`, to deliver it together with others.
+    /// Keeps an input in `effects`, so that it is delivered together with other inputs of this task.
     pub fn hold(&self, stamped: Stamped, effects: &mut Effects) {
         effects.bundles.push(self.home.place(), self.addressed(stamped));
     }
 
-    /// Puts input into the inbox of the task without taking the lock: see [`Handoff::leave`].
+    /// Puts an input into the inbox of the task without taking the lock: see [`Handoff::leave`].
     pub fn leave(&self, stamped: Stamped) -> Result<(), Stamped> {
         self.handoff.leave(self.addressed(stamped)).map_err(|input| input.stamped)
     }
 
-    /// Works on the task's script, if it has one, from any thread.
+    /// Calls `work` with the task's script, if it has one. Any thread may call this.
     pub fn with_runner(
         &self,
         effects: &mut Effects,
@@ -134,7 +135,7 @@ impl LocalTask {
 }
 
 /// Makes the tasks of a node from their communication tasks, with one hand-off for each domain. `link` wakes a thread
-/// that waits in the link.
+/// that waits in the link's socket.
 pub(crate) fn local_tasks(
     comms: impl Iterator<Item = Comm>,
     table: &NodeTable,

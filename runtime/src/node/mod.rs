@@ -1,9 +1,9 @@
 //! A running node: the parts of [`imrs_protocol::Node`], each behind its own lock (D38, D39), except that the
 //! communication tasks of a [domain](domain) share one lock (D186).
 //!
-//! Nothing here runs by itself. The thread that brings input (a task's thread, the receiving thread, the Timer thread) takes one
-//! lock, releases it, and carries out the effects that the machine asked for, one after another. No thread takes two locks at
-//! once.
+//! Nothing here runs by itself. A thread that brings input is a task's thread, the receiving thread or the Timer
+//! thread. It takes one lock, releases it, and carries out the effects that the state machine asked for. No thread
+//! takes two locks at once.
 
 pub(crate) mod comm;
 pub(crate) mod domain;
@@ -49,7 +49,7 @@ use std::sync::{Arc, OnceLock};
 /// The parts from which a node is made.
 pub(crate) struct Plan {
     pub machine: imrs_protocol::Node,
-    /// The thread that runs the program of each task of the node.
+    /// For each task of the node, which thread runs the task's program.
     pub run_by: Vec<RunBy>,
     pub incarnation: Incarnation,
     pub insecure: bool,
@@ -61,7 +61,7 @@ pub(crate) struct Plan {
     pub is_exact: bool,
 }
 
-/// Is called with an answer. Returns the next request of the task, to be made under the same lock; mostly none.
+/// A callback that gets an answer. It may return the task's next request, which is then made under the same lock.
 pub(crate) type More<'a> = &'a mut dyn FnMut(&Completion) -> Option<Request>;
 
 /// A running node. Its threads share it with its observers.
@@ -82,7 +82,7 @@ pub struct Node {
     pub(crate) lead: Lead,
     /// Whether the link brought an answer for a future since the thread of the futures last checked.
     pub(crate) futures_by_link: AtomicBool,
-    /// For how long a task's thread spins before it sleeps.
+    /// How long a waiting thread of a task spins before it sleeps.
     pub(crate) spin: Micros,
     /// How long before its deadline a waiting thread wakes, to spin until the deadline.
     pub(crate) spin_tail: Micros,
@@ -91,9 +91,9 @@ pub struct Node {
     pub(crate) peers: Box<[Peer]>,
     /// Where the scripts of the node carry out their actions. Set when the runtime starts.
     pub(crate) stage: OnceLock<Stage>,
-    /// Drops that no state machine saw, by position in [`Reason::ALL`].
+    /// How many packets were dropped before a state machine got them, by position in [`Reason::ALL`].
     pub(crate) discards: [AtomicU64; Reason::ALL.len()],
-    /// Drops by links, by position in [`LinkDiscard::NAMES`].
+    /// How many datagrams and packets the link dropped, by position in [`LinkDiscard::NAMES`].
     pub(crate) link_discards: [AtomicU64; LinkDiscard::NAMES.len()],
 }
 
@@ -190,7 +190,7 @@ impl Node {
     #[must_use]
     pub fn told_until(&self) -> u64 {
         let now = clock::now();
-        // A script step is stamped and reported under its task's lock, which `look` takes: so all earlier steps are reported.
+        // A script step is stamped and reported under its task's lock. `look` takes this lock, so earlier steps are reported.
         for local in &self.locals.list {
             if self.look(local, |comm| comm.is_overdue(now)) {
                 self.catch_up(local);
@@ -199,14 +199,14 @@ impl Node {
         now
     }
 
-    /// Lets the script of a task notice now what has expired, first of all its lease.
+    /// Advances the task's clock to now, so that its script learns at once what has expired, above all its lease.
     pub(crate) fn catch_up(&self, local: &LocalTask) {
         let mut effects = Effects::of_an_onlooker();
         local.with_runner(&mut effects, |runner, comm, effects| runner.catch_up(comm, effects));
         self.carry_out(&mut effects);
     }
 
-    /// Makes a request from a task's own thread, then the requests that [`More`] returns, and carries out their effects.
+    /// Makes `request` for a task's own thread, then those that [`More`] returns, and carries out the effects.
     pub(crate) fn ask(
         &self,
         place: usize,
@@ -222,7 +222,7 @@ impl Node {
         entry
     }
 
-    /// Works for a task's thread that is back from its wait. `due` says that the thread's deadline has passed.
+    /// Advances a task after its thread has waited. `due` says that the deadline of the wait has passed.
     pub(crate) fn come_back(
         &self,
         place: usize,
@@ -232,7 +232,7 @@ impl Node {
         effects: &mut Effects,
     ) -> Entry<Completion> {
         if due {
-            // This comes before the decision on the task's own time_out, because the task must know whether its message left.
+            // The task must know whether its message left before its own time_out counts, so the buffer goes first.
             self.dispatch.advance(now, effects);
             self.timers.advance(now, effects);
             self.carry_out(effects);
@@ -244,7 +244,7 @@ impl Node {
         entry
     }
 
-    /// Calls `look` with a communication task after draining its inbox. Nothing else of the task changes.
+    /// Drains the inbox of a communication task, and then calls `look` with the task. Nothing else of the task changes.
     pub(crate) fn look<R>(&self, local: &LocalTask, look: impl FnOnce(&mut Comm) -> R) -> R {
         let mut effects = Effects::of_an_onlooker();
         let seen = guarded("a look at a communication task", || local.look(look, &mut effects));
@@ -252,7 +252,7 @@ impl Node {
         seen
     }
 
-    /// Does all work that is due and that no task's thread waits for.
+    /// Serves all deadlines that have passed and for which no thread of a task sleeps.
     pub(crate) fn tend(&self, now: Micros, effects: &mut Effects) {
         let count = self.locals.list.len();
         if self.alarm.slot(count) <= now {
@@ -301,7 +301,7 @@ impl Node {
                 }
             }
             if effects.queue.is_empty() && effects.called.is_empty() {
-                // All other effects are carried out, so the thread takes the next turn (hold of the lock) of a domain.
+                // All other effects are carried out. For inputs between tasks of a domain, the thread takes its lock again.
                 let Some(home) = effects.inside.first() else { return };
                 self.locals.list[home.place()].handoff.visit(|_, _| (), effects);
             }
@@ -353,8 +353,8 @@ impl Node {
         }
     }
 
-    /// Handles packets that arrived together: with one instant and one charge for all, so that no packet counts as
-    /// older than a packet that was sent before it. Each task takes its packets under one lock.
+    /// Handles packets that arrived together. All get one instant, and lose the same remaining time (`charge`). So none
+    /// counts as older than a packet that was sent before it. Each task takes its packets under one lock.
     fn receive(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Micros, effects: &mut Effects) {
         for &packet in packets {
             match arrived(&self.table, from, packet, charge) {
@@ -372,7 +372,7 @@ impl Node {
                 }
                 Arrival::Relay(packet) => {
                     effects.leaving.push((at, packet));
-                    // No more packets are gathered than can be sent without entering the buffer.
+                    // At most `at_once` packets are gathered: more would have to enter the buffer.
                     if effects.leaving.len() >= self.dispatch.at_once {
                         self.dispatch.pump(at, effects);
                     }
@@ -386,7 +386,7 @@ impl Node {
         self.carry_out(effects);
     }
 
-    /// Gives all tasks this input about a neighbour.
+    /// Gives every task of the node this input about a neighbour.
     fn tell_all(&self, input: Input, at: Micros, effects: &mut Effects) {
         for local in &self.locals.list {
             local.deliver(Stamped { at, input }, effects);

@@ -12,10 +12,10 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 
-/// Runs a task's program with a context for this place on the node.
+/// Runs a task's program with a context for the task at this position on the node.
 pub(crate) type TaskBody = Box<dyn FnOnce(Arc<Node>, usize) -> Result<(), TaskError> + Send>;
 
-/// The running program of a task that is a future. It stays on its thread.
+/// The running program of a task that is a future. It never moves to another thread.
 pub(crate) type Running = Pin<Box<dyn Future<Output = Result<(), TaskError>>>>;
 /// Makes the program of a task; the program reaches its communication task through the `Caller`.
 pub(crate) type AsyncBody = Box<dyn FnOnce(Caller) -> Running + Send>;

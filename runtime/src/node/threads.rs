@@ -55,7 +55,7 @@ pub struct Runtime {
     executor: Option<Executor>,
 }
 
-/// What the threads of a node tell each other besides messages.
+/// State that the threads of a node share: whether the node stops, and how the programs ended.
 struct Shared {
     closing: AtomicBool,
     /// How each task's program ended; `None` while the program runs.
@@ -111,7 +111,7 @@ impl Runtime {
             changed: Condvar::new(),
         });
         awake::quota();
-        // From here on, an error drops the runtime, which ends the threads that run already.
+        // If an error returns early from here on, the runtime is dropped, and this ends the threads that already run.
         let mut runtime = Self { node, shared, tasks: Vec::new(), helpers: Vec::new(), executor: None };
         let (weak, ends) = (Arc::downgrade(&runtime.node), Arc::clone(&runtime.shared));
         let ended = move |place: usize, end| ends.ended(place, TaskEnd::Script(end));
@@ -141,9 +141,9 @@ impl Runtime {
         Ok(runtime)
     }
 
-    /// Starts the scripts that [`Builder::hold_scripts`](crate::Builder::hold_scripts) kept from starting, each once.
-    /// Scripts of a restarted node are held back for as long as their tasks need. Returns when the next script may
-    /// begin, so that the caller calls this again then; `None` if all scripts have begun.
+    /// Starts the scripts that [`Builder::hold_scripts`](crate::Builder::hold_scripts) held back, each once. In a
+    /// restarted node a script waits for as long as its task needs after the restart. Returns when the next script
+    /// may begin, so that the caller can call this again then; `None` if all scripts have begun.
     pub fn begin(&self) -> Option<Instant> {
         let mut effects = Effects::new(None);
         let (now, here) = (clock::now(), Instant::now());
@@ -196,9 +196,9 @@ impl Runtime {
         tasks.map(|((name, thread), end)| (name, join(thread, end))).collect()
     }
 
-    /// As [`stop`](Self::stop), and then tells the neighbours that this node has stopped (over UDP this takes some 10 ms). Their
-    /// requests to it end at once with [`Outcome::PeerRestarted`](imrs_protocol::Outcome::PeerRestarted), not by their time_outs. For
-    /// a node that stops while its neighbours go on.
+    /// Stops as [`stop`](Self::stop) does, and then tells the neighbours (over UDP this takes some 10 ms). Their
+    /// requests to this node then end at once with [`Outcome::PeerRestarted`](imrs_protocol::Outcome::PeerRestarted),
+    /// instead of waiting for their time_outs. Use this if the neighbours go on.
     #[must_use = "says which programs did not end"]
     pub fn leave(self, patience: Duration) -> Vec<(String, TaskEnd)> {
         let link = self.node.link.clone();
@@ -279,8 +279,8 @@ fn run_task(node: &Arc<Node>, place: usize, program: TaskBody) -> TaskEnd {
     end
 }
 
-/// Sleeps until just before the next expiry that no task's thread waits for, and spins until the expiry (D131). Without
-/// an expiry it sleeps until one is published.
+/// The Timer thread serves expiries for which no task's thread sleeps. It sleeps until just before the next one, and
+/// then spins (D131). While there is none, it sleeps until a deadline is published.
 fn run_timer(node: &Node, closing: &AtomicBool) {
     clock::sleep_exactly();
     let mut effects = Effects::new(None);
@@ -306,7 +306,7 @@ fn run_receiver(node: Arc<Node>, link: &dyn Link, closing: &AtomicBool) {
     });
 }
 
-/// Joins a thread whose program has ended: it is about to return, so the join is short. Leaves any other thread alone.
+/// Joins a thread whose program has ended, because it returns soon. Does not wait for any other thread.
 fn join(thread: JoinHandle<()>, end: Option<TaskEnd>) -> TaskEnd {
     let Some(end) = end else { return TaskEnd::Unfinished };
     match thread.join() {

@@ -15,19 +15,19 @@ pub(crate) struct Timers {
 }
 
 struct State {
-    /// The entries for which a task's thread sleeps.
+    /// The entries of tasks whose own thread sleeps until the expiry.
     attended: Timer,
-    /// The entries that no thread sleeps for: the Timer thread serves them. They are kept apart, so that finding the
-    /// next expiry for the Timer thread costs no search.
+    /// The entries that the Timer thread serves, because no other thread sleeps until their expiry. They have a Timer
+    /// of their own, so that the Timer thread finds its next expiry without a search.
     unattended: Timer,
 }
 
 impl Timers {
-    /// `timer` is empty and has room for the entries of all `tasks` tasks of the node.
+    /// `timer` must be empty, with room for the entries of all `tasks` tasks of the node.
     pub fn new(timer: Timer, tasks: usize, alarm: Arc<Alarm>, slot: usize, now: Micros) -> Self {
         let room = u16::try_from(tasks.saturating_mul(CommTask::ENTRIES)).unwrap_or(u16::MAX);
         let mut state = State { attended: timer, unattended: Timer::new(room) };
-        // No timer is armed yet: this call starts the clock.
+        // No timer is armed yet: this call only sets the clock.
         state.advance(now, &mut Effects::of_an_onlooker());
         Self { alarm, slot, state: Mutex::new(state) }
     }
@@ -42,12 +42,12 @@ impl Timers {
     ) {
         let mut state = lock(&self.state);
         state.advance(at, effects);
-        // The delay counts from the instant at which the task made its request, not from now.
+        // The delay counts from `at`, when the task made its request, not from the Timer's present.
         let length = length - (state.now() - Instant(at));
         state.disarm(owner, id);
         let timer = if effects.waiter == Some(owner) { &mut state.attended } else { &mut state.unattended };
         if !timer.arm(owner, id, turn, length) {
-            // A full Timer ends the delay at once rather than never.
+            // If the Timer is full, the delay ends at once: otherwise it would never end.
             let stamped = Stamped { at: state.now().0, input: Input::TimeOut { id, turn } };
             effects.queue.push_back(Effect::Feed(owner, stamped));
         }
@@ -68,7 +68,7 @@ impl Timers {
         self.publish(&state);
     }
 
-    /// The entries with their remaining times, soonest first, and the instant for which these times are true.
+    /// The entries with their remaining times at an instant, soonest first, and that instant.
     pub fn entries(&self) -> (Vec<(TaskId, TimeId, Ticks)>, Micros) {
         let state = lock(&self.state);
         let mut entries = state.attended.entries();

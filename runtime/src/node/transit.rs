@@ -40,7 +40,7 @@ struct Buffer {
 struct Batch {
     next: NodeId,
     packets: Vec<Packet>,
-    /// How many packets the link takes now: none while it is not ready for the neighbour.
+    /// How many packets the link takes now; zero while the link is not ready for this neighbour.
     most: usize,
 }
 
@@ -54,12 +54,13 @@ impl Dispatch {
         now: Micros,
     ) -> Self {
         let neighbours: Vec<NodeId> = table.neighbours(table.node).collect();
-        // While another thread sends, gathered packets go into the buffer. They must not fill it by themselves.
+        // While another thread sends, this thread puts its gathered packets into the buffer: at most a quarter of its
+        // room.
         let room = (usize::from(transit.view().capacity) / 4).max(MAX_PACKETS);
         let at_once = link.as_ref().map_or(MAX_PACKETS, |link| link.at_once()).min(room);
         let batch = |&next: &NodeId| Batch { next, packets: Vec::with_capacity(at_once), most: 0 };
         let mut buffer = Buffer { transit, ring: Ring::new() };
-        // No packet waits yet: this call starts the buffer's clock.
+        // The buffer is still empty: this call only sets its clock.
         buffer.advance(&table, now, &locals, &mut Effects::of_an_onlooker());
         Self {
             link,
@@ -84,7 +85,7 @@ impl Dispatch {
         self.publish(&buffer);
     }
 
-    /// Makes a thread send again, because a neighbour takes packets again.
+    /// Lets a thread try to send again, because the link can take packets for a neighbour again.
     pub fn ready(&self) {
         self.sender.want();
     }
@@ -119,7 +120,7 @@ impl Dispatch {
         self.publish(&buffer);
     }
 
-    /// The buffer's state, and the instant for which it is true.
+    /// The state of the buffer at an instant, and that instant.
     pub fn view(&self) -> (TransitView, Micros) {
         let buffer = lock(&self.buffer);
         (buffer.transit.view(), buffer.now())
@@ -242,7 +243,7 @@ impl Buffer {
         self.transit.now().0
     }
 
-    /// A packet whose remaining time was true at `at`, charged for the time until now.
+    /// Reduces the packet's remaining time, which was true at `at`, by the time since then.
     fn charged(
         &mut self,
         table: &NodeTable,

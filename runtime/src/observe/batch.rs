@@ -5,7 +5,7 @@ use imrs_wire::obs::TimedEvent;
 /// What one reader read from the rings of all state machines at one time.
 #[derive(Default)]
 pub(crate) struct Batch {
-    /// For each ring what was read of it: in the order of the tasks, the transit buffer last.
+    /// What was read of each ring. The rings are in the order of the tasks; that of the transit buffer is last.
     pub runs: Vec<Run>,
     /// The observations of the wanted rings, one ring after the other.
     pub events: Vec<TimedEvent>,
@@ -27,9 +27,9 @@ pub(crate) struct Run {
 /// What one reader takes of a batch.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Share {
-    /// All of it: the reader stood where the batch was read from.
+    /// The whole batch: this reader's positions are those from which the batch was read.
     All,
-    /// These observations, and how many further ones this reader has lost.
+    /// These observations, and how many more were overwritten before this reader got them.
     Part(Vec<TimedEvent>, u64),
 }
 
@@ -44,8 +44,8 @@ impl Run {
         usize::try_from(self.end - self.begin).unwrap_or(usize::MAX)
     }
 
-    /// Whether a reader at `position` would have read the same observations, or the last ones of them. If the oldest
-    /// observation of the ring was the first of this run, a reader from further back would have got no other.
+    /// Whether a reader at `position` would have read the same observations, or the last of them. A reader further
+    /// back would have got the same, too, if the run begins with the oldest observation that the ring still had.
     const fn has_all_since(&self, position: u64) -> bool {
         let was_oldest = self.begin > self.from;
         !self.wanted || (position <= self.end && (position >= self.begin || was_oldest))
@@ -58,7 +58,8 @@ impl Batch {
         self.runs.iter().map(Run::lost).sum()
     }
 
-    /// What a reader takes whose next observations have these positions; `None` if it must read the rings itself.
+    /// The share of a reader whose next observations have these positions; `None` if the reader must read the rings
+    /// itself.
     pub fn share(&self, positions: &[u64]) -> Option<Share> {
         let mut pairs = self.runs.iter().zip(positions);
         if !pairs.clone().all(|(run, &position)| run.has_all_since(position)) {
@@ -106,8 +107,8 @@ mod tests {
     }
 
     proptest! {
-        /// A reader that shares what another reader read gets what it would have read itself, up to the end of what the other
-        /// one read; and never is an observation neither shown nor counted as lost.
+        /// A reader that takes a share gets what it would have read itself, up to the end of the batch. No
+        /// observation is neither shown nor counted as lost.
         #[test]
         fn what_is_shared_is_what_each_reader_would_have_read(
             written in 0_u64..40,
@@ -131,7 +132,7 @@ mod tests {
             let all = batch.events.clone();
             let (events, lost) = match batch.share(&others) {
                 None => {
-                    // The reader stands before what was read of a ring, or behind it.
+                    // The reader's position is before the part of a ring that was read, or after it.
                     let lacks = |(run, other): (&Run, u64)| other < run.begin || other > run.end;
                     prop_assert!(batch.runs.iter().zip(others).any(lacks));
                     return Ok(());

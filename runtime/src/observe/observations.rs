@@ -67,8 +67,8 @@ impl Observations {
         lost
     }
 
-    /// As [`drain_of`](Self::drain_of), but keeps from which position to which each ring was read, so that readers that
-    /// stand at other positions can share what was read.
+    /// As [`drain_of`](Self::drain_of), but also returns from where to where each ring was read. Readers at other
+    /// positions can then share the result.
     pub(crate) fn drain_batch(&mut self, wanted: impl Fn(Option<TaskId>) -> bool, room: usize) -> Batch {
         let mut batch = Batch::default();
         let runs = &mut batch.runs;
@@ -76,12 +76,12 @@ impl Observations {
         batch
     }
 
-    /// What `batch` has of the observations since the last call, as if this reader had read the rings; `None` if the
-    /// batch begins after this reader's position, or ends before it.
+    /// This reader's share of `batch`, as if the reader had read the rings itself; `None` if the batch begins after
+    /// this reader's position or ends before it.
     pub(crate) fn take(&mut self, batch: &Batch) -> Option<Share> {
         let share = batch.share(&self.positions)?;
         for (position, run) in self.positions.iter_mut().zip(&batch.runs) {
-            // A ring that is not wanted may have been passed by further.
+            // This reader may already be further along a ring that it does not want.
             *position = run.end.max(*position);
         }
         Some(share)

@@ -34,7 +34,7 @@ use stream::Listener;
 
 /// How many monitors a node serves at once.
 pub const MAX_MONITORS: usize = 8;
-/// How many further connections a node keeps, of clients that have not shown yet that they are allowed to look.
+/// The most connections of clients that have not proven yet that they are allowed to look. They count separately.
 const MAX_STRANGERS: usize = 16;
 /// The niceness of the observer's thread: the lowest priority, because the tasks go first.
 const LEAST_PRIORITY: i32 = 19;

@@ -1,5 +1,5 @@
-//! The observations of one machine, for its subscribers: a bounded ring that many readers follow, each with its own
-//! position. A slow reader loses the oldest observations, and learns how many.
+//! The observations of one state machine, for its subscribers: a bounded ring that many readers follow, each with its
+//! own position. A slow reader loses the oldest observations, and learns how many.
 
 use crate::clock::Micros;
 use imrs_protocol::Observation;

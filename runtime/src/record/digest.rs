@@ -5,10 +5,10 @@ use imrs_protocol::{CONTENTS_BYTES, Contents, Delivery, MessageId, Outcome, Pack
 use postcard::ser_flavors::Flavor;
 use serde::Serialize;
 
-/// Identifies all outputs so far of a communication task or a script, in order. Two runs have equal digests only if every
-/// packet, every signal and every request to the Timer was equal (except for collisions of 64 bits). The digest is computed
-/// from the 64-bit numbers that make up an output, so it is the same in every build and on every machine. For outputs that
-/// come with every message, this module defines these numbers; other outputs are encoded with postcard.
+/// Identifies all outputs so far of a communication task or a script, in order. Two runs have equal digests only if
+/// all their packets, signals and requests to the Timer were equal (except for collisions of 64 bits). The digest is
+/// computed from 64-bit numbers that describe an output, so it is the same in every build and on every machine. This
+/// module defines these numbers for outputs that occur with every message; other outputs are encoded with postcard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OutputDigest(pub u64);
 
@@ -121,8 +121,8 @@ const fn number(id: MessageId) -> u64 {
     (id.incarnation.0 as u64) << 32 | id.sequence.get() as u64
 }
 
-/// Mixes eight bytes at a time into the digest. The last lane, which is never full, has the number of its bytes in its top
-/// byte.
+/// Mixes bytes into the digest, eight at a time (a lane). The last lane is never full, and has the number of its
+/// bytes in its top byte.
 struct Lanes {
     digest: OutputDigest,
     lane: u64,

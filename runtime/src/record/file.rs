@@ -14,8 +14,9 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// How many slots the lanes of all tasks of a node have together, in 16 MiB. A recorded step takes one slot. If a lane
-/// is full, a gap is recorded instead; once the disk keeps up again, the recording goes on with a keyframe.
+/// How many slots the lanes of all tasks of a node have together (16 MiB). A recorded step takes one slot. If a lane
+/// is full, steps are lost, and the recording shows a gap. Once the disk keeps up again, the recording goes on with a
+/// keyframe.
 const SLOTS: usize = 1 << 18;
 /// The least and the most slots of one task's lane, whatever the number of tasks: 4 KiB and 2 MiB.
 const OF_A_TASK: (usize, usize) = (1 << 6, 1 << 15);
@@ -79,8 +80,8 @@ pub struct About<'a> {
 }
 
 impl FileRecorder {
-    /// Begins to record a node. If the disk fails, the recorder calls `on_failure` once, and the node goes on without a
-    /// recording.
+    /// Begins to record a node. If writing to `sink` fails later, the recorder calls `on_failure` once, and the node
+    /// goes on without a recording.
     ///
     /// # Errors
     /// [`WriteError`] if not even the beginning of the recording can be written.
@@ -102,7 +103,7 @@ impl FileRecorder {
             insecure: about.insecure,
             began: u64::try_from(began.as_micros()).unwrap_or(u64::MAX),
         };
-        // The queue has one place only, because no frames go through it.
+        // The queue has one place only, because this recorder puts no frames into it.
         let recording = Recording::start(sink, &header, 1, on_failure)?;
         let tasks: Vec<TaskId> = table.tasks_on(table.node).collect();
         // The number of slots is a power of two, and at most the task's share of the slots.
@@ -162,27 +163,28 @@ fn ends(task: TaskId, slots: usize, alert: Alert) -> (TaskLog, TaskSource) {
 }
 
 /// The log of one communication task's steps. It is used under that task's lock, so recording a step does not block,
-/// allocate or enter the kernel. The one exception is waking the writing thread: if that thread had found nothing to
-/// do, or whenever another quarter of the lane has filled up.
+/// allocate or enter the kernel. There is one exception: it wakes the writing thread if that thread sleeps for want
+/// of records, and whenever another quarter of the lane has filled up.
 struct TaskLog {
     fill: Fill,
     alert: Alert,
     aside: Arc<Aside>,
     /// Whether a record was lost. Until the next keyframe, no record of this task can be replayed.
     needs_keyframe: bool,
-    /// After how many more lost steps a keyframe is tried again, if the last state was too long to be recorded: as many
-    /// as the state has bytes. So these attempts cost at most one byte for each step.
+    /// After how many more lost steps a keyframe is tried again, if the last state was too long to be recorded. This
+    /// is the number of bytes of that state, so these attempts cost at most one byte for each step.
     pause: usize,
     /// How many of the lost records have been reported as gaps.
     told: u64,
 }
 
 impl TaskLog {
-    /// Handles the rare cases of a step: the writer sleeps or is gone, or the record found no room.
+    /// Handles the rare cases of a step: the writing thread sleeps or has ended, or the lane had no room for the
+    /// record.
     #[cold]
     fn attend(&mut self, taken: bool, inputs: u64) {
-        // After a loss nothing is recorded until a keyframe: such records could not be replayed and would only take
-        // room in the lane.
+        // After a loss nothing is recorded until a keyframe: such records could not be replayed, and would only fill
+        // the lane.
         if !(taken && self.alert.call()) {
             self.aside.lost.fetch_add(1, Ordering::Relaxed);
             self.aside.lost_inputs.fetch_add(inputs, Ordering::Release);
@@ -211,16 +213,17 @@ impl Log for TaskLog {
         }
     }
 
-    /// Whether a keyframe is needed and the disk keeps up again. A keyframe takes time and memory to make, and would be
-    /// lost, too, while the disk does not keep up.
+    /// Whether to make a keyframe: one is needed, and the disk keeps up again. Before that, a keyframe would be lost,
+    /// too, and making it takes time and memory.
     fn wants_keyframe(&self) -> bool {
         self.needs_keyframe && self.pause == 0 && self.fill.is_half_free() && !self.alert.is_over()
     }
 
-    /// Writes the machine's state after a gap of lost steps. Unlike all other code on the message path it allocates, once
-    /// for each gap.
+    /// Writes the state machine's state after a gap of lost steps. Unlike all other code on the message path it
+    /// allocates, once for each gap.
     fn keyframe(&mut self, machine: &CommTask, digest: OutputDigest) {
-        // If the state cannot be serialised, no keyframe is written, and steps stay missing until the next keyframe.
+        // If the state cannot be serialised, there is no keyframe here, and steps stay missing until the next attempt
+        // succeeds.
         let Ok(state) = postcard::to_allocvec(machine) else { return };
         if state.len() > LONGEST {
             self.pause = state.len();
@@ -241,7 +244,7 @@ struct TaskSource {
     task: TaskId,
     drain: Drain,
     aside: Arc<Aside>,
-    /// The number of inputs so far, without the lost ones, and the digest after the last input.
+    /// The number of recorded inputs so far, and the digest after the last of them.
     inputs: u64,
     outputs: u64,
     /// How many of the lost records have been reported as gaps.

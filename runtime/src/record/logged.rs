@@ -1,19 +1,19 @@
-//! What is recorded of one communication task, with what its next record needs.
+//! The recording of one communication task's steps, and the state that its next record needs.
 
 use super::{Log, OutputDigest, ScriptStep, Step};
 use imrs_protocol::{CommTask, Input, Packet, Request, Signal, Ticks};
 
 /// The log of one communication task's steps.
 ///
-/// A step is recorded as a replay takes it, also if the task took it as its part of a fused step (D207): a fused step is recorded as
-/// the small steps for which it stands.
+/// A fused step is recorded as the small steps that it replaces, because a replay takes only small steps. This holds
+/// for every task that took part in the fused step (D207).
 pub(crate) struct Logged {
     log: Box<dyn Log>,
-    /// Whether the log wants the machine's state before the next step.
+    /// Whether the log wants the state machine's state before the next step.
     wants_keyframe: bool,
     /// The digest of all outputs so far.
     pub digest: OutputDigest,
-    /// The time that has passed at the machine since the last recorded step.
+    /// How far the state machine's clock has advanced since the last recorded step.
     passed: Ticks,
 }
 
@@ -23,44 +23,49 @@ impl Logged {
         Self { log, wants_keyframe, digest: OutputDigest::START, passed: Ticks::ZERO }
     }
 
-    /// Whether the log wants the machine's state before the next step. Then that must be a small step.
+    /// Whether the log wants the state machine's state before the next step. If so, the task must take no fused step
+    /// next.
     pub const fn wants_keyframe(&self) -> bool {
         self.wants_keyframe
     }
 
-    /// Whether time has passed at the machine that is in no recorded step yet.
+    /// Whether the state machine's clock has advanced since the last recorded step.
     pub const fn owes_time(&self) -> bool {
         self.passed.0 != 0
     }
 
-    /// Time passed at the machine, and nothing else happened: it becomes a part of the next recorded step.
+    /// Notes that the state machine's clock advanced by `elapsed` without a step. The next recorded step includes
+    /// this time.
     #[inline]
     pub fn pass(&mut self, elapsed: Ticks) {
         self.passed = Ticks(self.passed.0 + elapsed.0);
     }
 
-    /// Records the machine's state before a small step, if the log wants it.
+    /// Records the state machine's state before a small step, if the log wants it.
     pub fn begin(&mut self, machine: &CommTask) {
         if self.wants_keyframe {
             self.log.keyframe(machine, self.digest);
         }
     }
 
-    /// Records a small step that the machine has taken. `elapsed`: the time that passed in it.
+    /// Records a small step that the state machine has taken. `elapsed` is the time by which its clock advanced in
+    /// this step.
     pub fn small(&mut self, elapsed: Ticks, input: &Input) {
         let step = self.step(elapsed, *input);
         self.wants_keyframe = self.log.step(&step, self.digest);
     }
 
-    /// Records the machine's part in a fused step. `digest`: of all outputs, those of this part included.
+    /// Records the state machine's part in a fused step. `digest` is that of all outputs, this part included.
     #[inline]
     pub fn part(&mut self, input: Input, digest: OutputDigest) {
         let step = self.step(Ticks::ZERO, input);
-        // A second part may follow before the keyframe that the log wants after the first.
+        // The log may want a keyframe after this part. A second part of the same fused step may still come before the
+        // keyframe.
         self.wants_keyframe |= self.log.part(&step, digest);
     }
 
-    /// Records a fused step that the task began itself. `first`: the digest of the outputs up to the first request, if there are two.
+    /// Records a fused step that the task began itself. With two requests, `first` is the digest of the outputs up to
+    /// the first.
     #[inline]
     pub fn own(&mut self, request: &Request, then: Option<&Request>, first: OutputDigest) {
         let Some(&then) = then else { return self.part(Input::Request(*request), self.digest) };

@@ -1,9 +1,10 @@
 //! Records the inputs of a node's communication tasks, and checks in a replay that the state machines give the same
 //! outputs again.
 //!
-//! A communication task is a pure function of its inputs and the time between them. Its log is written under its lock, so the log
-//! has the order in which the task took its inputs, and needs no global order. With every input comes a digest of all outputs so
-//! far: a replay that reaches the same digests made bit-equal outputs.
+//! A communication task is a pure function of its inputs and the times between them. Its log is written under its
+//! lock. So the log has the order in which the task took its inputs, and no order among tasks is needed. Each input
+//! is recorded with a digest of all outputs so far: a replay that reaches the same digests made the same outputs, bit
+//! for bit.
 
 mod digest;
 mod file;
@@ -33,7 +34,7 @@ use std::sync::Arc;
 /// One input of a communication task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Step {
-    /// How long after the previous step this step came, in microseconds.
+    /// The time since the previous step, in microseconds.
     pub elapsed: Ticks,
     /// The input of the step.
     pub input: Input,
@@ -46,15 +47,15 @@ pub trait Recorder: Send + Sync {
     fn log(self: Arc<Self>, task: TaskId) -> Option<Box<dyn Log>>;
 }
 
-/// Receives the inputs of one communication task. It is called under a lock for which the node's messages wait. So it
-/// must only store the step, and never write to a disk or wait.
+/// Receives the inputs of one communication task. It is called under the task's lock, which the node's messages need.
+/// So it must only store the step, and never write to a disk or wait.
 pub trait Log: Send {
     /// Records a step that the task has taken, with the digest of all its outputs, those of this step included. Returns
     /// whether the log wants the task's state before the next step, because steps were lost.
     fn step(&mut self, step: &Step, digest: OutputDigest) -> bool;
 
-    /// As [`step`](Self::step), for a step that the task took as its part of a fused step (D207). A task may have two parts in one fused
-    /// step: if the log wants the task's state after the first, it is given the state only after the second.
+    /// As [`step`](Self::step), for the task's part in a fused step (D207). A task may have two parts in one fused
+    /// step. If the log wants the task's state after the first part, it gets the state only after the second.
     fn part(&mut self, step: &Step, digest: OutputDigest) -> bool {
         self.step(step, digest)
     }
@@ -70,8 +71,8 @@ pub trait Log: Send {
         false
     }
 
-    /// Records the state of the machine between two steps, with the digest of all its outputs. Called if the log wants the
-    /// state.
+    /// Records the state of the state machine between two steps, with the digest of all its outputs. Called if the
+    /// log wants the state.
     fn keyframe(&mut self, machine: &CommTask, digest: OutputDigest) {
         let _ = (machine, digest);
     }
@@ -135,7 +136,8 @@ impl Step {
     }
 }
 
-/// Runs one step as the runtime does: first everything that is due, then the input. Checks the machine after both.
+/// Runs one step as the runtime does: first the deadlines that have passed, then the input. Checks the state machine
+/// after each of the two.
 fn run_checked(
     (machine, table): (&mut CommTask, &NodeTable),
     step: Step,

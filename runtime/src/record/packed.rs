@@ -1,5 +1,6 @@
-//! Packs the inputs of a communication task and its script into words of a [`lane`](crate::sync::lane). Inputs that come
-//! with every message take few instructions; others are encoded with postcard. This format never leaves the process.
+//! Packs the inputs of a communication task and its script into words of a [`lane`](crate::sync::lane). The inputs
+//! that occur with every message are packed by few instructions; others are encoded with postcard. This format never
+//! leaves the process.
 //!
 //! ```text
 //! word 0   tag 8 | more about it 24 | elapsed 32        word 1   digest        2, 3   ports, tasks, numbers
@@ -53,7 +54,7 @@ pub(super) enum Entry {
     Keyframe {
         outputs: u64,
     },
-    /// Words that cannot be read, because of a fault of this module. The entry counts as a lost record.
+    /// Words that cannot be decoded, because of a fault in this module. The entry counts as a lost record.
     Unreadable,
 }
 
@@ -141,8 +142,8 @@ fn one(fill: &mut Fill, words: Words, crowded: impl FnOnce()) -> bool {
     room
 }
 
-/// Puts any input into the lane, encoded with postcard. An input that is too long for the buffer counts as an input
-/// that finds no room.
+/// Puts any input into the lane, encoded with postcard. An input longer than the buffer is treated as one for which
+/// the lane has no room.
 #[cold]
 fn long(fill: &mut Fill, step: &Step, outputs: u64, crowded: impl FnOnce()) -> bool {
     let mut bytes = [0; LONGEST];
@@ -161,7 +162,7 @@ fn long(fill: &mut Fill, step: &Step, outputs: u64, crowded: impl FnOnce()) -> b
     room
 }
 
-/// Takes the next entry, unless it lies beyond `until`, and gives its room back.
+/// Takes the next entry, if it lies before `until`, and frees its slots.
 pub(super) fn take(drain: &mut Drain, until: usize) -> Option<Entry> {
     let words = drain.next(until)?;
     let entry = read(words, || drain.next(until));

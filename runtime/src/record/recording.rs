@@ -31,7 +31,7 @@ pub enum ReplayError {
         /// The digest of the statements of the given scripts.
         given: u32,
     },
-    /// The recording was made by another node, or says of no node that it made it.
+    /// The recording was made by another node, or its header does not name the node that made it.
     #[error("the recording holds no inputs of node {0}")]
     OtherNode(NodeId),
     /// The recording contains records of a task of another node.
@@ -64,8 +64,8 @@ pub fn replay_recording<'t, R: Read>(
     replay_scripts(reader, table, |_| None, None)
 }
 
-/// As [`replay_recording`], with the scripts of those tasks that `script` knows. With a `watch`, which is called as
-/// [`Replay::watched`] says, the replays also keep everything that happened in memory.
+/// As [`replay_recording`], and also runs those scripts of the tasks that `script` returns. If there is a `watch`, it
+/// is called as [`Replay::watched`] describes, and the replays also keep in memory everything that happened.
 ///
 /// # Errors
 /// [`ReplayError`].
@@ -80,8 +80,8 @@ pub fn replay_scripts<'t, 'p, R: Read>(
     Ok(replays.0)
 }
 
-/// The replays of a node's tasks, as far as their recording has been read. To follow a recording that is still being written,
-/// [`go_on`](Self::go_on) with the same reader from time to time.
+/// The replays of a node's tasks, as far as their recording has been read. To follow a recording that is still being
+/// written, call [`go_on`](Self::go_on) with the same reader from time to time.
 #[derive(Debug)]
 pub struct Replays<'t>(Vec<Replay<'t>>);
 

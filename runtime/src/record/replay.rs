@@ -31,16 +31,17 @@ pub enum KeyframeError {
     /// This build cannot read the state.
     #[error("the state of {0} cannot be read: {1}")]
     Malformed(TaskId, postcard::Error),
-    /// The keyframe has more bytes than the state of a machine needs.
+    /// The keyframe has more bytes than the state of a state machine needs.
     #[error("the state of {0} has {1} bytes too many")]
     Trailing(TaskId, usize),
     /// The state belongs to another task, or to another incarnation of the node.
     #[error("the state given for {0} is that of {1} in incarnation {incarnation}", incarnation = .2.0)]
     Foreign(TaskId, TaskId, Incarnation),
-    /// The state does not belong to a machine with the ports of this task: parts are missing, too many or out of bounds.
+    /// The state does not belong to a state machine with the ports of this task: parts are missing, too many or out
+    /// of bounds.
     #[error("the state of {0} is not one of its machine")]
     OutOfBounds(TaskId),
-    /// The machine never reaches this state.
+    /// The state machine never reaches this state.
     #[error("the state of {0} breaks an invariant of its machine: {1}")]
     Unsound(TaskId, invariants::Violation),
     /// No step is missing before the keyframe, but its state or its outputs differ from those of the replay.
@@ -54,7 +55,7 @@ pub struct Replay<'t> {
     table: &'t NodeTable,
     task: TaskId,
     incarnation: Incarnation,
-    /// The replayed machine; `None` while its state is not known.
+    /// The replayed state machine; `None` while its state is not known.
     machine: Option<CommTask>,
     digest: OutputDigest,
     judged: usize,
@@ -76,7 +77,7 @@ pub struct Replay<'t> {
 }
 
 impl<'t> Replay<'t> {
-    /// The replay of `task`, whose machine begins at the start of this incarnation of its node.
+    /// The replay of `task`, whose state machine begins at the start of this incarnation of its node.
     #[must_use]
     pub fn new(table: &'t NodeTable, task: TaskId, incarnation: Incarnation, restarted: bool) -> Self {
         Self {
@@ -128,7 +129,8 @@ impl<'t> Replay<'t> {
         Self { happened: Some(Vec::new()), ..self }
     }
 
-    /// Runs the next step. After a gap, or after a step whose outputs differ, steps are only counted until a keyframe comes.
+    /// Runs the next step. After a gap, or after a step whose outputs differ, only counts steps until the next
+    /// keyframe.
     pub fn step(&mut self, entry: Recorded) {
         if self.closed {
             // A step after the end of the task is only counted, and reported as one step too many.
@@ -144,7 +146,7 @@ impl<'t> Replay<'t> {
         if self.script.as_mut().is_some_and(|script| !script.expects(&entry.step.input)) {
             self.lose_script();
         }
-        // The script stops now, with its last request, and not already at the time of its last act.
+        // The script stopped now, with its last request, and not at the earlier time that `Stopped` has.
         if let Input::Request(Request::Cancel) = entry.step.input
             && let Some((at, Happened::Stopped)) =
                 self.happened.as_mut().and_then(|happened| happened.last_mut())
@@ -167,7 +169,7 @@ impl<'t> Replay<'t> {
         }
         let mut out = Digesting { digest: Some(&mut self.digest), out: &mut heard };
         let run = || run_checked((machine, self.table), entry.step, &mut out);
-        // A recording may contain anything: if the machine panics on an input, the recording is wrong.
+        // A recording may contain anything: if the state machine panics on an input, the recording is wrong.
         let ran = catch_unwind(AssertUnwindSafe(run)).ok();
         let (sound, went_wrong) = (ran.unwrap_or(Ok(())), ran.is_none());
         if let Err(violation) = sound {
@@ -187,7 +189,7 @@ impl<'t> Replay<'t> {
         (self.machine, self.script) = (None, None);
     }
 
-    /// Takes a step of the script that follows from no step of its communication task.
+    /// Gives the script a step that its communication task did not cause, such as the end of an action.
     pub fn script(&mut self, step: ScriptStep, done: OutputDigest) {
         if let ScriptStep::Begin { at } = step {
             self.base.get_or_insert(at.saturating_sub(self.passed));
@@ -236,7 +238,7 @@ impl<'t> Replay<'t> {
     pub fn close(&mut self, inputs: u64, outputs: OutputDigest) {
         self.closed = true;
         let found = self.found();
-        // Some of the lost records may be no inputs.
+        // The records that were lost need not all be inputs.
         let counts = found <= inputs && inputs <= found.saturating_add(self.lost);
         if !counts || (self.machine.is_some() && outputs != self.digest) {
             let (task, said, said_outputs, outputs) = (self.task, inputs, outputs, self.digest);
@@ -291,7 +293,7 @@ impl<'t> Replay<'t> {
         }
     }
 
-    /// How long after the task's first step its last step came, in microseconds.
+    /// The time from the task's first step to its last step so far, in microseconds.
     pub(super) const fn passed(&self) -> u64 {
         self.passed
     }
@@ -308,7 +310,7 @@ impl<'t> Replay<'t> {
         self.judged
     }
 
-    /// How many recorded steps could not be judged, because the state before them is not known or differed.
+    /// How many recorded steps could not be judged: the state before them is not known, or an earlier step differed.
     #[must_use]
     pub const fn unjudged(&self) -> usize {
         self.unjudged
@@ -338,8 +340,8 @@ impl<'t> Replay<'t> {
     }
 }
 
-/// Runs the machine of `task` through its recorded inputs, from the start of this incarnation of its node, and compares
-/// all its outputs. Returns how many steps ran.
+/// Runs the state machine of `task` through its recorded inputs, from the start of this incarnation of its node, and
+/// compares all its outputs. Returns how many steps ran.
 ///
 /// # Errors
 /// The first step whose outputs differ.

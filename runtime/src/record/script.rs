@@ -10,8 +10,8 @@ use std::fmt;
 use std::sync::Arc;
 
 /// An act of a script, in the form that enters the digest. The statements that a script begins enter the digest, too,
-/// but not as acts. A request of a script is no act: it is compared with the recorded input of the communication task.
-/// The order of the variants is part of the recordings' format.
+/// but not as acts. A script's request is not an act: it is compared with the recorded input of the communication
+/// task. The order of the variants is part of the recordings' format.
 #[derive(Serialize)]
 pub(crate) enum Did<'a> {
     Acts { level: u8, action: u16, arguments: &'a [i64], least: Ticks, most: Ticks },
@@ -112,8 +112,8 @@ impl Again {
         Some(what)
     }
 
-    /// Runs the script until it waits or makes a request. A driver would pass the request on. In a replay, the request
-    /// must come next in the recording, as an input of the communication task.
+    /// Runs the script until it waits or makes a request. In a running node the request would go to the communication
+    /// task. In a replay, it must be the communication task's next recorded input.
     pub fn go_on(
         &mut self,
         at: u64,
@@ -142,7 +142,7 @@ impl Out<'_> {
         }
     }
 
-    /// The record of what the script does with its present input; `None` if there is no input.
+    /// The record of what the script does with its current input; `None` if there is no input.
     fn turn(&mut self) -> Option<&mut Turn> {
         match self.happened.as_mut()?.last_mut()? {
             (_, Happened::Turn(turn)) => Some(turn),
@@ -160,7 +160,7 @@ impl ScriptOutbox for Out<'_> {
         self.done.add(&Did::CutShort(level));
     }
 
-    /// Makes no choice: the recording has the choice as its next record.
+    /// Makes no choice, because the recording has the choice as its next record.
     fn choose(&mut self, _: u16) -> Option<u16> {
         None
     }

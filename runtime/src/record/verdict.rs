@@ -4,7 +4,7 @@ use super::{OutputDigest, Step};
 use imrs_protocol::TaskId;
 use imrs_protocol::invariants::Violation;
 
-/// The first step after which the machine's outputs differ from the recorded ones.
+/// The first step after which the state machine's outputs differ from the recorded ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("step {index} of {task} put out something else than recorded: {step:?}")]
 pub struct Divergence {

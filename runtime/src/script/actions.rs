@@ -35,7 +35,8 @@ pub struct Act<'a> {
     pub least: Duration,
     /// The longest time that the action takes.
     pub most: Duration,
-    /// The lease under which the task began the action; `None` if the task is in no couple, or does not hold the lease.
+    /// The lease under which the task began the action. `None` if the task is in no couple (a primary and its standby), or
+    /// does not hold the lease.
     pub lease: Option<HeldLease>,
 }
 
@@ -70,7 +71,7 @@ impl Ending {
         self.say(false, 0);
     }
 
-    /// The present lease of the action's task.
+    /// The lease that the action's task holds now; `None` if it holds none.
     pub(crate) fn lease(&self) -> Option<HeldLease> {
         let node = self.node.upgrade()?;
         let local = node.locals.list.get(self.place)?;
@@ -130,8 +131,8 @@ type OnEnd = Box<dyn Fn(usize, End) + Send + Sync>;
 pub(crate) struct Stage {
     node: Weak<Node>,
     actions: Arc<dyn Actions>,
-    /// For each task and thread, the action that was last begun or cut short. The beginning of an action and its cut
-    /// may be carried out by two threads, in either order.
+    /// For each task and thread of its script, the action that was last begun or cut short. One thread may begin an
+    /// action while another cuts it short, so the cut may come first.
     running: Mutex<BTreeMap<(usize, u8), Running>>,
     ended: OnEnd,
 }
@@ -192,9 +193,9 @@ impl Stage {
         }
     }
 
-    /// The program of a script whose action is about to begin; `None` if the action is cut short. The node may have
-    /// been stopped since the script began the action. If the lease of the couple has ended meanwhile, that end comes
-    /// first (D153).
+    /// The program of a script whose action is about to begin; `None` if the action was cut short. The node may have
+    /// been stopped since the script began the action. If the couple's lease has ended meanwhile, the script must
+    /// learn of that end first (D153).
     fn check(&self, node: &Node, begun: &Begun) -> Option<Arc<Program>> {
         let Begun { place, level, number, .. } = *begun;
         let local = &node.locals.list[place];

@@ -19,8 +19,8 @@ const MARGIN: Duration = Duration::from_secs(2);
 /// How long a stop waits for the guard to confirm the end of the command, and how long the next action of the task
 /// waits for it.
 const STOP_WITHIN: Duration = Duration::from_millis(250);
-/// After how many microseconds a lease is checked again, at least and at most. Between these limits, it is checked
-/// after a quarter of its remaining time.
+/// The least and the greatest time after which a lease is checked again, in microseconds. Between these limits, the
+/// next check comes after a quarter of the lease's remaining time.
 const RENEW_EVERY: [u64; 2] = [2_000, 100_000];
 /// The time between two checks of the lease, in microseconds, while a task acts without its partner. When the partner
 /// comes back, the task's lease counts again, so it is checked.
@@ -87,7 +87,7 @@ pub enum CommandError {
         /// The error of the operating system.
         why: io::Error,
     },
-    /// The guard cannot be started, so the command's program was not started.
+    /// The guard (a process that ends the command with its node) cannot be started, so the command was not started.
     #[error(
         "cannot start the guard `{program}` of commands: {why}; install `imrs-guard` beside this program"
     )]
@@ -111,7 +111,7 @@ pub enum CommandError {
     /// The lease of the command's task ended, and the command was killed.
     #[error("killed at the end of its lease")]
     LeaseEnded,
-    /// The guard of the command was killed.
+    /// The guard (the process that ends the command with its node) was killed.
     #[error("its guard was killed: processes that the command started may still run")]
     Unguarded,
 }
@@ -148,7 +148,8 @@ impl Commands {
         Self { guard, ..self }
     }
 
-    /// How much longer than declared a command may take before it is killed and the action has failed. By default 2 s.
+    /// Sets how much longer than declared a command may take [default: 2 s]. A command that takes longer is killed,
+    /// and its action has failed.
     #[must_use]
     pub const fn margin(mut self, margin: Duration) -> Self {
         self.margin = margin;
@@ -199,7 +200,7 @@ impl Commands {
         }
     }
 
-    /// Starts the guard of a command.
+    /// Starts the guard of a command: a process that runs the command, and ends it with its node.
     fn start(&self, act: &Act<'_>, words: &[String]) -> Result<(Running, Option<Announced>), CommandError> {
         let told = self.announce(act.task).map_err(CommandError::Notices)?;
         let errand = self.errand(act, words, told.as_ref());
@@ -280,8 +281,8 @@ struct Stopped {
 }
 
 impl Stopping {
-    /// Tells a command to stop, and waits until it has ended. The calling thread has other work, and may have many
-    /// commands to stop: all commands that do not end at once share the deadline of the first.
+    /// Tells a command to stop, and waits for its end. The calling thread has other work, and may have to stop many
+    /// commands. So commands that do not end at once share one deadline, that of the first.
     fn stop(&self, task: String, running: &Arc<Running>) {
         running.let_go();
         let now = Instant::now();
@@ -340,8 +341,8 @@ impl Watcher {
         }
     }
 
-    /// Tells the guard the present end of the lease. Returns after how many microseconds to check the lease again;
-    /// `None` if never.
+    /// Tells the guard when the lease now ends. Returns after how many microseconds to check the lease again; `None`
+    /// if never.
     fn renew(&self, ending: &Ending) -> Option<u64> {
         let begun = self.lease?;
         // If the task holds its lease under another epoch, the action for which this command was begun is over.

@@ -40,7 +40,7 @@ pub struct Functions {
 }
 
 impl Functions {
-    /// Has no functions yet: `others` carries out every action.
+    /// Makes a value without functions: `others` carries out every action.
     #[must_use]
     pub fn new(others: Arc<dyn Actions>) -> Self {
         Self { functions: BTreeMap::new(), others }

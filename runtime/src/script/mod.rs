@@ -1,9 +1,10 @@
 //! Tasks whose behaviour is a script.
 //!
-//! A script has no thread. It is behind the lock of its communication task, which all scripts of the node share (D186). The
-//! thread that brings input to the communication task also runs the script. So a step of the communication task and the
-//! reaction of its script are one step, as in the model. Messages between tasks of the node take steps of their own, or fused
-//! steps. The script's actions begin after the lock is released, and the end of an action is an input again.
+//! A script has no thread. It is behind the lock of its communication task, which all scripts of the node share
+//! (D186). The thread that brings input to the communication task also runs the script. So a step of the
+//! communication task and the script's reaction are one step, as in the model. Messages between tasks of the node
+//! take steps of their own, or fused steps (D176). A script's actions begin after the lock is released, and the end of an
+//! action is an input.
 
 mod actions;
 mod command;
@@ -22,14 +23,14 @@ pub(crate) use runner::ScriptRunner;
 use imrs_protocol::script::{Address, End, Script};
 use imrs_protocol::{CommTask, ReplyTo, Request, Signal, TaskId, Ticks};
 
-/// Receives notes about what scripts do. It is called under a lock for which messages wait, so it must only pass the
-/// note on and return.
+/// Receives notes about the acts of scripts. It is called under a lock that the node's messages need, so it must only
+/// pass the note on and return.
 pub trait Watch: Send + Sync {
     /// Takes a note about an act of the script of `task` at the instant `at`, in microseconds of the node's clock
     /// (`CLOCK_BOOTTIME`).
     fn note(&self, task: TaskId, at: u64, note: &Note);
 
-    /// Takes the state of `task` since `at`, in microseconds of the node's clock, now that its script waits. This is a
+    /// Takes the state of `task` from `at` on, in microseconds of the node's clock, once its script waits. This is a
     /// state between two steps of the cell, as checks see it. Called after every step.
     fn stands(&self, task: TaskId, at: u64, stands: &Stands<'_>) {
         let _ = (task, at, stands);

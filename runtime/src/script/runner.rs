@@ -31,8 +31,8 @@ struct Side {
     /// The digest of everything that the script has done, if that is recorded.
     done: OutputDigest,
     ended: bool,
-    /// How many steps the scripts of the node may take together before the next input from outside of the node. Without this
-    /// limit, two scripts that answer each other for ever would keep the thread that runs them from all its other work.
+    /// How many steps the scripts of the node may take together before the next input from outside of the node.
+    /// Without this limit, two scripts that answer each other for ever would occupy the thread that runs them.
     together: u32,
 }
 
@@ -70,13 +70,13 @@ impl ScriptRunner {
         self.tell(comm, ScriptInput::Begin, effects);
     }
 
-    /// The communication task takes an input, and the script reacts.
+    /// Lets the communication task take an input, and the script react.
     pub fn take(&mut self, comm: &mut Turn<'_>, stamped: Stamped, effects: &mut Effects) {
         self.take_signal(comm, effects);
         let mut input = stamped.input;
         let only_time = matches!(input, Input::Time);
         let turn = time(comm, effects);
-        // The time and the input are one step if nothing becomes due by then, and if no watch wants to see the state
+        // Time and input are one step if no deadline passes before the input, and no watch wants to see the state
         // between the two.
         let elapsed = if !only_time && self.side.watch.is_none() && comm.is_idle_until(turn) {
             comm.elapsed(turn)
@@ -88,7 +88,7 @@ impl ScriptRunner {
             return;
         }
         if let Input::Packet(packet) = &mut input {
-            // The packet is charged for the time for which it waited for this step.
+            // The packet's remaining time is reduced by the time for which it waited for this step.
             packet.remaining = packet.remaining - Ticks((comm.now() + elapsed.0).saturating_sub(stamped.at));
         }
         self.step(comm, Step { elapsed, input }, effects);
@@ -111,7 +111,7 @@ impl ScriptRunner {
     ) {
         let (level, number) = end;
         self.take_signal(comm, effects);
-        // Time passes first, because an expiry that is due by now may cut the action short.
+        // Time passes first, because a deadline that has passed may cut the action short.
         self.let_time_pass(comm, effects);
         let Some(acting) = self.side.acting.get_mut(usize::from(level)) else { return };
         if *acting != Some(number) || self.host.is_stopped() {
@@ -122,8 +122,8 @@ impl ScriptRunner {
         self.tell(comm, ScriptInput::Acted { level, ok, value }, effects);
     }
 
-    /// Lets time pass without any input: everything that is due by now, such as the end of a lease, happens before the
-    /// next input.
+    /// Lets time pass without any input. Everything that is due by now, such as the end of a lease, then comes before
+    /// the next input.
     pub fn catch_up(&mut self, comm: &mut Turn<'_>, effects: &mut Effects) {
         if !self.host.is_stopped() {
             self.take_signal(comm, effects);
@@ -131,7 +131,7 @@ impl ScriptRunner {
         }
     }
 
-    /// The node stops: the script does nothing more, and cancels its requests.
+    /// Stops the script, because its node stops: it does nothing more, and cancels its requests.
     pub fn stop(&mut self, comm: &mut Turn<'_>, effects: &mut Effects) {
         if self.host.is_stopped() {
             return;
@@ -146,8 +146,8 @@ impl ScriptRunner {
         self.step(comm, Step { elapsed, input: Input::Request(Request::Cancel) }, effects);
     }
 
-    /// Lets time pass up to the next whole microsecond, as a step of its own. So no request of the next step has a time
-    /// before the beginning of its turn.
+    /// Lets time pass up to the next whole microsecond, as a step of its own. So no request of the next step has a
+    /// time before its turn began.
     fn let_time_pass(&mut self, comm: &mut Turn<'_>, effects: &mut Effects) -> u64 {
         let elapsed = comm.elapsed(time(comm, effects));
         if !elapsed.is_zero() || comm.owes_time() {
@@ -157,7 +157,7 @@ impl ScriptRunner {
         comm.now()
     }
 
-    /// The script waits. Shows this state of the cell to the watch, as checks see it.
+    /// Shows the task's state to the watch, as checks see it: the script waits now.
     fn show(&self, comm: &Comm) {
         if let Some(watch) = &self.side.watch {
             let stands = Stands { script: &self.host.script, machine: comm.machine() };
@@ -165,12 +165,13 @@ impl ScriptRunner {
         }
     }
 
-    /// Whether a fused step has given the script a signal that the script has not taken yet.
+    /// Whether the script has not yet taken a signal of a fused step (one that replaces several small steps).
     pub const fn has_input(&self) -> bool {
         self.host.has_input()
     }
 
-    /// Lets the script take the signal of an earlier fused step before the task takes its next input, as in small steps.
+    /// Lets the script take the signal of an earlier fused step. This comes before the task's next input, as in small
+    /// steps.
     #[inline]
     fn take_signal(&mut self, comm: &mut Turn<'_>, effects: &mut Effects) {
         if self.has_input() {
@@ -185,8 +186,8 @@ impl ScriptRunner {
         self.host.tell(ScriptInput::Signal(signal));
     }
 
-    /// Makes a request of the script as a fused step, if nothing about it is unusual and no watch wants to
-    /// see each small step. A REPLY is made together with the GET that the script makes next.
+    /// Makes a request of the script in one fused step instead of several small ones, if that is possible and no
+    /// watch wants to see each small step. A REPLY is made together with the GET that the script makes next.
     fn fuse(&mut self, comm: &mut Turn<'_>, request: &Request, effects: &mut Effects) -> bool {
         if self.side.watch.is_some() {
             return false;
@@ -235,7 +236,7 @@ impl ScriptRunner {
     }
 }
 
-/// The receiver of the signals of a fused step of two scripts.
+/// Receives the signals of a fused step (one that replaces several small steps) of two scripts.
 struct ToScripts<'a>(&'a mut ScriptHost);
 
 impl FusedSignals for ToScripts<'_> {
@@ -261,8 +262,8 @@ impl Side {
     }
 }
 
-/// The time of a step: the time of the thread's present turn for scripts. For a task of a couple the clock is read each
-/// time, because the thread may have been stopped since its turn began (D153).
+/// The time of a step: that of the thread's current turn for scripts. For a task of a couple the clock is read anew,
+/// because the thread may have been stopped since its turn began (D153).
 fn time(comm: &Comm, effects: &mut Effects) -> Micros {
     if comm.is_coupled() { clock::next_by_kernel() } else { effects.time_of_turn() }
 }
@@ -319,7 +320,7 @@ impl ScriptOutbox for Out<'_> {
     }
 
     fn ended(&mut self, end: End) {
-        // Only this script never waited, so the other scripts of the node may take as many steps again.
+        // Only this script has run away, so the other scripts of the node may take as many steps again.
         if matches!(end, End::Fault { fault: ScriptFault::Runaway, .. }) {
             self.effects.steps = 0;
         }

@@ -56,7 +56,7 @@ impl Give {
 }
 
 /// An action whose results depend on time. When the action `since` ends in the same task, the result is the least
-/// value. It rises to the greatest value during `over`, and stays there.
+/// value. During `over` the result rises to the greatest value, and stays there.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Ramp {
     /// The action that gives the results.
@@ -73,7 +73,7 @@ pub struct Simulated {
     seed: u64,
     results: BTreeMap<String, Give>,
     courses: Vec<Ramp>,
-    /// For each task and each action on whose end a ramp depends: when that action last ends.
+    /// The ends of actions from which ramps count: for each task and such action, when it last ended or will end.
     followed: Mutex<BTreeMap<(String, String), Instant>>,
     shared: Arc<Shared>,
 }
@@ -103,8 +103,8 @@ pub(crate) fn salt(name: &str) -> u64 {
         .fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
 }
 
-/// The draws of a task's action with this number. One generator seeds the next. If the seed and the number were only
-/// mixed by `^`, the actions of neighbouring seeds would draw the same numbers in another order.
+/// The random numbers for a task's action with this number. One generator seeds the next: if the seed and the number
+/// were only combined by `^`, runs with neighbouring seeds would draw the same numbers in another order.
 fn draws(seed: u64, task: &str, number: u64) -> fastrand::Rng {
     let mut of_task = fastrand::Rng::with_seed(seed ^ salt(task));
     fastrand::Rng::with_seed(of_task.u64(..) ^ number)

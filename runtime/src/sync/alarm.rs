@@ -1,7 +1,8 @@
-//! Decides when the Timer thread must wake: at the earliest expiry that no task's thread waits for (D40).
+//! Decides when the Timer thread must wake: at the earliest deadline for which no task's thread sleeps (D40).
 //!
-//! Every machine of the node publishes its next expiry in a slot of its own. The Timer thread sleeps until the earliest
-//! slot. Only a still earlier expiry wakes that thread, so a stream of messages with equal time_outs never wakes it.
+//! Every state machine of the node publishes its next expiry in a slot of its own. The Timer thread sleeps until the
+//! earliest slot. Only a still earlier expiry wakes that thread, so a stream of messages with equal time_outs never
+//! wakes it.
 
 use crate::clock::{FAR, Micros, nanos_of};
 use crate::sync::handoff::Rest;
@@ -12,7 +13,7 @@ use crate::sync::{AtomicU64, Line, Ordering, Word, fence};
 pub(crate) struct Alarm<P = Sound> {
     /// Each slot is in a cache line of its own, because the threads of two tasks publish in turn.
     slots: Box<[Line<AtomicU64>]>,
-    /// The instant until which the Timer thread sleeps.
+    /// The instant until which the Timer thread sleeps; `FAR` while it reads the slots.
     target: AtomicU64,
     rung: Word,
     plant: P,
@@ -21,8 +22,8 @@ pub(crate) struct Alarm<P = Sound> {
 /// The bugs that the explorers of schedules (loom and shuttle) must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
-    /// While the Timer thread reads the slots, the old target stays in force, so that a new expiry does not wake the
-    /// thread.
+    /// While the Timer thread reads the slots, the target stays at its old value, so that a new expiry does not wake
+    /// the thread.
     NoOpenTarget,
     /// No fence orders the accesses to a slot and to the target.
     NoFence,
@@ -30,7 +31,7 @@ pub(crate) enum Plant {
     EndBeforeRung,
 }
 
-/// The earliest expiry, and the value of `rung` before the slots were read.
+/// The earliest published expiry, and the value of `rung` from before the slots were read.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Earliest {
     pub at: Micros,
@@ -50,8 +51,8 @@ impl<P: Plants<Plant>> Alarm<P> {
         Self { slots, target: AtomicU64::new(FAR), rung: Word::new(0), plant }
     }
 
-    /// Publishes when the machine of `slot` next expires. Called under the lock of that machine, so the last store is
-    /// the newest value.
+    /// Publishes when the state machine of `slot` next expires. Called under the lock of that machine, so the last
+    /// store is the newest value.
     pub fn publish(&self, slot: usize, at: Micros) {
         let slot = &self.slots[slot].0;
         if slot.load(Ordering::Relaxed) == at {
@@ -99,10 +100,10 @@ impl<P: Plants<Plant>> Alarm<P> {
         Earliest { at, rung }
     }
 
-    /// Sleeps until an expiry that no task's thread waits for, and returns the time then. Only the Timer thread calls
-    /// this. The thread wakes `tail` early and spins for the rest. If the first expiry is nearer than `tail`, the
-    /// thread sleeps until it, so that it gives up its core between any two expiries. Returns `None` as soon as
-    /// `closing` is true; the thread that sets `closing` calls `ring` afterwards.
+    /// Sleeps until the next published expiry, and returns the time then. Only the Timer thread calls this. It wakes
+    /// `tail` before the expiry and spins until it. If the first expiry is nearer than `tail`, it sleeps until that
+    /// expiry, so that it gives up its core between any two expiries. Returns `None` once `closing` is true; the
+    /// thread that sets `closing` calls `ring` then.
     pub fn next(
         &self,
         tail: Micros,
@@ -157,18 +158,17 @@ impl<P: Plants<Plant>> Alarm<P> {
     }
 }
 
-/// Which thread takes care of the expiries of one machine: its task's thread, if that sleeps at most until the next
-/// expiry; else the Timer thread. Changed only under the lock of that machine.
+/// Which thread serves the expiries of one state machine: its task's thread if that wakes by the next expiry,
+/// otherwise the Timer thread. Changed only under the lock of that machine.
 #[derive(Debug)]
 pub(crate) struct Cover {
     slot: usize,
     /// The instant until which the task's thread sleeps.
     until: Option<Micros>,
-    /// A planted bug that a test must find: every sleep of the task's thread counts as early enough for every expiry.
+    /// A planted bug that a test must find: the task's thread counts as awake by every expiry, whenever it wakes.
     #[cfg(test)]
     pub covers_all: bool,
-    /// A planted bug that tests must find: the published expiry stays in all cases, or in all cases in which it is not
-    /// yet over.
+    /// A planted bug that tests must find: the published expiry is kept too often, in the cases that [`Keeps`] names.
     #[cfg(test)]
     pub keeps: Option<Keeps>,
 }
@@ -193,10 +193,10 @@ impl Cover {
         }
     }
 
-    /// As [`settle`](Self::settle), for a machine whose expiries only the Timer thread serves, and whose present is
-    /// `now`. The published expiry stays if it is still to come and not later than `due`. So requests that are answered
-    /// in time publish only once in a time_out, and wake the Timer thread no more often. The Timer thread may then come
-    /// too early. It advances the machine, which publishes `due`.
+    /// As [`settle`](Self::settle), for a state machine whose expiries only the Timer thread serves. `now` is the
+    /// machine's time. The published expiry is kept if it is still to come and not later than `due`. So requests that
+    /// are answered in time publish only once in each time_out, and wake the Timer thread no more often. If the Timer
+    /// thread wakes too early, it advances the machine, which then publishes `due`.
     pub fn keep<P: Plants<Plant>>(&self, alarm: &Alarm<P>, now: Micros, due: Micros) {
         let published = alarm.slot(self.slot);
         let (comes, serves) = (now < published, published <= due);
@@ -209,8 +209,8 @@ impl Cover {
         }
     }
 
-    /// The machine next expires at `due`, and its task's thread does `rest`. Publishes `due`, unless the task's thread
-    /// wakes by then.
+    /// Publishes `due`, the state machine's next expiry, unless the task's thread wakes by then. `rest` says what
+    /// that thread does next.
     pub fn settle<P: Plants<Plant>>(&mut self, alarm: &Alarm<P>, rest: Rest, due: Micros) {
         match rest {
             Rest::No => self.until = None,

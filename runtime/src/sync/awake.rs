@@ -2,7 +2,7 @@
 //! sleeps (D110).
 //!
 //! Whether a thread spins depends on three things: how long its last waits of that kind took, how often spinning
-//! failed, and whether another thread needs its core. They affect only speed.
+//! failed, and whether another thread needs its core. The decision affects only speed.
 
 use crate::clock::{self, FAR, Micros};
 use imrs_protocol::Request;
@@ -13,11 +13,11 @@ use std::sync::atomic::{AtomicI16, AtomicIsize, AtomicU16, Ordering};
 static AWAKE: AtomicIsize = AtomicIsize::new(0);
 /// For each core, how many of the running threads of tasks may use only that core.
 static BOUND: [AtomicI16; CpuSet::MAX_CPU] = [const { AtomicI16::new(0) }; CpuSet::MAX_CPU];
-/// The thread may use several cores.
+/// The value for a thread that may use several cores.
 const ANY: u16 = u16::MAX;
 
 /// Whether a task's thread runs, visible to all other threads. Before the thread waits, it subtracts itself from
-/// `AWAKE`. The thread that wakes it adds it again; if it wakes without another thread, it adds itself.
+/// `AWAKE`. The thread that wakes it adds it again. If no thread wakes it (its time is over), it adds itself.
 #[derive(Debug)]
 pub(crate) struct ThreadState {
     /// The only core that the thread may use, or `ANY`. Only the thread itself changes it, while it runs.
@@ -122,7 +122,7 @@ impl Kind {
 struct SpinHistory {
     /// Whether the last wait was brief: the event that ended it came within the spin budget, however late the thread noticed.
     brief: bool,
-    /// By how much failed spins outnumber successful ones, at most [`Self::MOST`].
+    /// How many more spins failed than succeeded, at most [`Self::MOST`].
     vain: u32,
     /// How many waits pass before the thread spins again.
     pause: u32,
@@ -130,7 +130,7 @@ struct SpinHistory {
 
 impl SpinHistory {
     const MOST: u32 = 10;
-    /// How many waits that are not brief pass before the thread spins nevertheless. Two threads that both sleep wake
+    /// After how many waits that were not brief the thread spins once nevertheless. Two threads that both sleep wake
     /// each other so late that no wait would ever be brief.
     const UNLIKELY: u32 = 63;
     const NEW: Self = Self { brief: false, vain: 0, pause: Self::UNLIKELY };
@@ -180,13 +180,13 @@ impl SpinPolicy {
         Self { budget, cores: None, histories: [SpinHistory::NEW; 3] }
     }
 
-    /// Records after which time the event came that ended a wait of this kind.
+    /// Records how long after the start of a wait of this kind its event came.
     pub fn learn(&mut self, kind: Kind, after: Micros) {
         self.histories[kind as usize].ended(after <= self.budget);
     }
 
-    /// Spins, if that is likely to pay, until `there` returns true: at most for the budget, and not beyond `until`.
-    /// Returns whether `there` returned true.
+    /// Spins until `there` returns true, if spinning is likely to pay. Spins at most for the budget, and not beyond
+    /// `until`. Returns whether `there` returned true.
     pub fn look(
         &mut self,
         kind: Kind,

@@ -7,9 +7,9 @@
 //!   unlocking, so no input stays behind.
 //! - [`Handoff::enter_and`] is for the task's own thread, which needs the answer.
 //!
-//! The answer (`Completion`) is written under the lock, together with the word on which the task's thread [waits](Waiting). While
-//! the word says that the thread spins, others leave their input to it. It spins on the inbox, too, and its communication task
-//! stays in one core's cache (D128). For a running thread they leave only input that may wait until it enters (D130).
+//! The answer (`Completion`) is written under the lock, together with the word on which the task's thread [waits](Waiting).
+//! While that word says that the thread spins, other threads leave their input to it. The thread spins on the inbox, too, so its
+//! communication task stays in one core's cache (D128). If the thread runs, they leave only input that may wait (D130).
 //!
 //! The shared part knows nothing of messages: it is generic over the [`Protected`], so that tests can explore its interleavings
 //! with a state machine of two states.
@@ -40,7 +40,7 @@ struct Core<S: Protected> {
 }
 
 impl<S: Protected> Handoff<S> {
-    /// Makes the hand-off. `waker` wakes the task's thread when it does not wait on its word ([`go_away`](Self::go_away)).
+    /// Makes the hand-off. `waker` wakes the task's thread in the link's socket ([`go_away`](Self::go_away)).
     pub fn new(protected: S, waker: Option<Arc<dyn ThreadWaker>>) -> Self {
         Self::planted(protected, waker, Sound)
     }
@@ -62,8 +62,8 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         &self.waiting.thread_state
     }
 
-    /// Brings input from any thread. On return the input has been taken, or will be: by the present or the next holder
-    /// of the lock, or by the task's thread.
+    /// Brings input from any thread. On return the input has been taken, or will be soon: by the current or the next
+    /// holder of the lock, or by the task's thread.
     pub fn deliver(&self, mut input: S::Input, effects: &mut S::Effects) {
         let may_wait = S::may_wait(&input) && self.inbox.is_entered();
         if !self.waiting.may_take(may_wait)
@@ -116,8 +116,8 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         self.enter_and(input, |_| None, effects)
     }
 
-    /// Brings input from the task's own thread and takes the answer, if there is one. While `more` has another input for an
-    /// answer, brings that input, too, under the same lock.
+    /// Brings input from the task's own thread, and takes the answer if there is one. Each answer is passed to
+    /// `more`. If `more` returns another input, this is brought under the same lock.
     pub fn enter_and(
         &self,
         mut input: S::Input,
@@ -130,7 +130,7 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         self.go_on(core, more, effects)
     }
 
-    /// As [`enter_and`](Self::enter_and), for a thread that has waited: if there is an answer already, it brings no input.
+    /// As [`enter_and`](Self::enter_and), for a thread that has waited: if there is an answer, `input` is not used.
     pub fn come_back_and(
         &self,
         mut input: S::Input,
@@ -179,7 +179,7 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
     }
 
     /// As [`enter_and`](Self::enter_and), for one of several tasks that share this hand-off. No thread of these tasks
-    /// sleeps here, and their answers are in the protected state. `work` takes the answer that is there, or brings the
+    /// sleeps here, and their answers are in the protected state. `work` takes an answer from there, or brings the
     /// input. Also returns whether the node stops.
     pub fn enter_shared<R>(
         &self,
@@ -214,8 +214,8 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
     }
 
     /// Spins until an event ends the wait of the task's thread: `look` calls its argument as long as spinning pays.
-    /// From the first such call on, other threads leave their input to this thread. `take_in` receives from the link.
-    /// Returns whether there is an answer or input for the thread.
+    /// From the first such call on, other threads leave their input to this thread. `take_in` receives from the
+    /// link's socket. Returns whether there is an answer or input for the thread.
     pub fn look(
         &self,
         mut take_in: impl FnMut() -> bool,
@@ -254,9 +254,9 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         self.second_look(effects);
     }
 
-    /// Changes the protected state, from any thread, in a way that may cause work.
+    /// Calls `visit` with the protected state, from any thread. The visit may change the state and cause effects.
     pub fn visit(&self, visit: impl FnOnce(&mut S, &mut S::Effects), effects: &mut S::Effects) {
-        // The inbox is drained first: its input may lead to an answer, and only `work` marks the word.
+        // The inbox is drained first, because its input may lead to an answer, and only `work` marks the word.
         self.second_look(effects);
         let mut core = lock(&self.core);
         visit(&mut core.protected, effects);
@@ -292,8 +292,8 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         self.waiting.time_out();
     }
 
-    /// Puts input into the inbox without taking the lock, or returns it if the inbox is full. The next thread that
-    /// enters takes the input; [`wake`](Self::wake) makes sure that a thread does.
+    /// Puts input into the inbox without taking the lock; returns the input if the inbox is full. The next thread
+    /// that takes the lock processes it. The caller calls [`wake`](Self::wake) later, so that some thread does.
     pub fn leave(&self, input: S::Input) -> Result<(), S::Input> {
         self.inbox.leave(input).map(|_| ())
     }

@@ -1,35 +1,38 @@
-//! Input left for the next thread that runs a communication task: a ring of slots, taken in the order in which it was left (D201).
+//! Input for the next thread that runs a communication task: a ring of slots, first in, first out (D201).
 //!
-//! Threads that leave input agree on its place under a lock that only they take. The thread that holds the lock of the
-//! communication task takes the input without that lock: the number in a slot says which input the slot holds. So an input
-//! crosses from one core to another in one cache line, and a thread that spins on the next slot sees the input with that line.
+//! Threads that leave input number it under a lock that only they take. The thread that holds the lock of the
+//! communication task takes input without that lock: the number in a slot says which input the slot holds. So an
+//! input crosses from one core to another in one cache line, and a thread that spins on the next slot sees the input
+//! with that line.
 
 use crate::sync::plant::{Plants, Sound};
 use crate::sync::{AtomicU64, Line, Mutex, Ordering, lock};
 /// This flag is the standard library's atomic, which loom and shuttle do not explore, because the flag is only a hint.
 use std::sync::atomic::AtomicBool;
 
-/// How many inputs fit into an inbox. Once it is full, a thread that brings more waits for the lock.
+/// How many inputs fit into an inbox. Once it is full, a thread that brings another input waits for the task's lock.
 #[cfg(not(test))]
 pub(super) const ROOM: u64 = 64;
-/// loom and shuttle make each slot anew for every schedule, and few inputs should be enough to go around the ring.
+/// In explorations few inputs must be enough to fill the ring. loom and shuttle also make each slot anew for every
+/// schedule.
 #[cfg(test)]
 pub(super) const ROOM: u64 = 2;
 
-/// How many inputs at most wait for a running thread, because that thread handles all of them at its next call (D130).
+/// The most inputs that may wait for a running thread. The bound exists because that thread handles all of them in
+/// its next call (D130).
 const FOR_A_RUNNER: u64 = ROOM / 2;
 
 /// An input that fits into a slot.
 pub(crate) trait Slotted: Sized {
     /// The words that an input consists of.
     type Words: AsRef<[u64]> + AsMut<[u64]> + Default;
-    /// As many atomics.
+    /// As many atomics as `Words` has words.
     type Atomics: AsRef<[AtomicU64]>;
 
     /// The atomics of an empty slot.
     fn atomics() -> Self::Atomics;
 
-    /// The input as words. `None` for an input that is never left.
+    /// The input as words. `None` for an input that no thread ever leaves in an inbox.
     fn to_words(&self) -> Option<Self::Words>;
 
     /// The input that these words represent.
@@ -46,9 +49,9 @@ struct Slot<I: Slotted> {
 
 /// The state that the threads that leave input share.
 struct Leaving {
-    /// How many inputs were left.
+    /// How many inputs have been left so far.
     left: u64,
-    /// How many inputs were taken, when a thread that leaves input last loaded that number.
+    /// How many inputs had been taken when a leaving thread last loaded `Inbox::taken`.
     taken: u64,
 }
 
@@ -61,7 +64,7 @@ pub(crate) enum Plant {
     TakenFirst,
     /// Input is left although there is no room.
     Overfull,
-    /// An input is put into its slot after the lock for its place was released.
+    /// An input is put into its slot only after the lock that gave it its number was released.
     OutOfTurn,
 }
 
@@ -70,9 +73,9 @@ pub(crate) struct Inbox<I: Slotted, P = Sound> {
     leaving: Line<Mutex<Leaving>>,
     /// How many inputs were taken. Only a thread that holds the lock of the communication task writes it.
     taken: Line<AtomicU64>,
-    /// Whether the task's thread has made a call since too much input last waited for it.
+    /// Whether the task's thread has made a call since too many inputs last waited for it.
     comes_in: Line<AtomicBool>,
-    /// The room, and whether a thread found none.
+    /// For tests: how many inputs fit, and whether a thread found the inbox full.
     #[cfg(test)]
     pub room: (u64, AtomicBool),
     plant: P,
@@ -93,8 +96,8 @@ impl<I: Slotted> Inbox<I> {
 impl<I: Slotted, P: Plants<Plant>> Inbox<I, P> {
     /// As [`new`](Inbox::new), with a bug planted for a test.
     pub fn planted(plant: P) -> (Self, Taker) {
-        // A larger input would take two lines, and each would cross to the other core by itself. The atomics of the
-        // explorers are larger.
+        // A larger slot would take two cache lines, and each line would move to the other core by itself. In
+        // explorations the atomics are larger, so this is checked only without them.
         #[cfg(not(test))]
         const {
             assert!(size_of::<Slot<I>>() == 64, "a slot is one cache line");
@@ -122,7 +125,7 @@ impl<I: Slotted, P: Plants<Plant>> Inbox<I, P> {
         let Some(words) = input.to_words() else { return Err(input) };
         let mut leaving = lock(&self.leaving.0);
         if leaving.left - leaving.taken >= FOR_A_RUNNER {
-            // The acquire pairs with the release in `take`: the former content of the slot has been read.
+            // The acquire pairs with the release in `take`, which has finished reading the slot's former content.
             leaving.taken = self.taken.0.load(Ordering::Acquire);
         }
         let waits = leaving.left - leaving.taken;
@@ -165,9 +168,9 @@ impl<I: Slotted, P: Plants<Plant>> Inbox<I, P> {
         Some(I::of_words(&words))
     }
 
-    /// Whether the inbox is empty. The loads are relaxed: a caller that must not miss what `leave` stored makes a fence
-    /// before. A caller that does not hold the lock of the communication task may see input that another thread has
-    /// taken meanwhile.
+    /// Whether the inbox is empty. The loads are relaxed, so a caller that must not miss a concurrent `leave` makes a
+    /// fence first. A caller without the lock of the communication task may see input that another thread has taken
+    /// meanwhile.
     pub fn is_empty(&self) -> bool {
         !self.holds(1)
     }
@@ -188,12 +191,12 @@ impl<I: Slotted, P: Plants<Plant>> Inbox<I, P> {
         &self.slots[(before % ROOM) as usize]
     }
 
-    /// Notes that the task's own thread takes all inputs of the inbox.
+    /// Notes that the task's own thread has made a call and takes all inputs of the inbox.
     pub fn come_in(&self) {
         self.set_entered(true);
     }
 
-    /// Notes that too much waits for a running thread.
+    /// Notes that too many inputs wait for the running thread of the task.
     pub fn is_too_much(&self) {
         self.set_entered(false);
     }

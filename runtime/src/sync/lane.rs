@@ -1,5 +1,5 @@
-//! A ring of fixed size for one producer and one consumer, without locks and without waiting. A record for which there
-//! is no room is not taken.
+//! A ring of fixed size for one producer and one consumer, without locks and without waiting. If there is no room for
+//! a record, the ring does not take it.
 //!
 //! A record consists of one or more slots in a row. The producer fills the slots one by one and publishes them together
 //! ([`Fill::publish`]), so the consumer finds only whole records.
@@ -54,7 +54,8 @@ pub(crate) fn lane<const WORDS: usize>(slots: usize) -> (Fill<WORDS>, Drain<WORD
     used_lane(slots, 0, Sound)
 }
 
-/// A lane through which `at` slots have gone before, with a planted bug if there is one. The counters wrap around.
+/// A lane whose counters begin at `at`, as if so many slots had been used before. `plant` is a planted bug, or none. The
+/// counters wrap around.
 pub(crate) fn used_lane<const WORDS: usize, P>(
     slots: usize,
     at: usize,
@@ -77,7 +78,8 @@ impl<const WORDS: usize, P> Lane<WORDS, P> {
 }
 
 impl<const WORDS: usize, P: Plants<Plant>> Fill<WORDS, P> {
-    /// Whether there is room for this many slots. Calls `crowded` once in a while if at least a quarter of the lane is used.
+    /// Whether there is room for this many slots. At times calls `crowded`, if at least a quarter of the lane is
+    /// used.
     #[inline]
     pub fn has_room(&mut self, slots: usize, crowded: impl FnOnce()) -> bool {
         self.free.wrapping_sub(self.at) >= slots || self.look(slots, crowded)
@@ -90,7 +92,7 @@ impl<const WORDS: usize, P: Plants<Plant>> Fill<WORDS, P> {
             crowded();
         }
         let room = self.lane.slots.len() - used;
-        // `free` counts only a part of the free slots, so that `emptied` is loaded again early enough to report
+        // `free` counts only a part of the free slots, so that `emptied` is loaded again soon enough to report
         // crowding.
         self.free = self.at.wrapping_add(room.min(quarter.max(slots)));
         room >= slots

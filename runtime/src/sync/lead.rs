@@ -1,7 +1,7 @@
-//! Leader and followers (D40). One thread at a time, of a task or of the futures, waits in the link itself and receives
-//! for the node. This thread, the leader, finds its own answer without a wake-up; the other threads sleep on their
-//! futex words. A leader that stops need not inform another thread: while no thread leads, the kernel reports every
-//! datagram to the node's receiving thread.
+//! Leader and followers (D40). One thread at a time, of a task or of the futures, waits in the link's socket itself
+//! and receives for the node. This thread, the leader, finds its own answer without a wake-up; the other threads
+//! sleep on their futex words. A leader that stops need not inform another thread: while no thread leads, the kernel
+//! reports every datagram to the node's receiving thread.
 //!
 //! While a thread leads, the kernel reports a datagram to that thread alone. So the leader receives a reported datagram
 //! before it checks whether its own wait is over.
@@ -9,17 +9,18 @@
 use crate::sync::plant::{Plants, Sound};
 use crate::sync::{AtomicBool, Ordering};
 
-/// How another thread wakes the leader from its wait in the link.
+/// How another thread wakes the leader from its wait in the link's socket.
 pub(crate) trait Away {
-    /// The thread is about to wait in the link: from now on a call wakes it there. Returns false if the thread was
-    /// called already.
+    /// Notes that the thread is about to wait in the link's socket: from now on a call wakes it there. Returns false
+    /// if the thread was called already.
     fn go_away(&self) -> bool;
 
-    /// The thread is back from its wait in the link. Returns false if the thread was called during the wait.
+    /// Notes that the thread no longer waits in the link's socket. Returns false if the thread was called during the
+    /// wait.
     fn come_home(&self) -> bool;
 }
 
-/// Why a wait in the link ended.
+/// Why a wait in the link's socket ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Came {
     /// A datagram arrived, or the link has another event.
@@ -37,7 +38,8 @@ pub(crate) enum Led {
     ToTheEnd,
     /// The thread led, and another thread ended its wait.
     Called,
-    /// The thread did not lead, or not until its wait was over: other threads receive, and this thread sleeps.
+    /// The thread did not lead, or lost the lead before its wait was over: other threads receive, and this thread
+    /// must sleep.
     No,
 }
 
@@ -66,8 +68,9 @@ impl<P: Plants<Plant>> Lead<P> {
         Self { taken: AtomicBool::new(false), plant }
     }
 
-    /// Waits in the link until `away` is called, unless another thread leads. `take_in` receives the datagrams that `wait`
-    /// reported. It returns false if another thread is receiving already; that thread then receives these datagrams, too.
+    /// Waits in the link's socket until `away` is called, unless another thread leads. `take_in` receives the
+    /// datagrams that `wait` reported. It returns false if another thread is receiving already; that thread then
+    /// receives these datagrams, too.
     pub fn wait(
         &self,
         away: &impl Away,
@@ -80,7 +83,8 @@ impl<P: Plants<Plant>> Lead<P> {
         let mut led = Led::ToTheEnd;
         while away.go_away() {
             let came = wait();
-            // From here on, a thread that brings the leader's answer need not wake the leader.
+            // From here on, another thread that brings the leader's answer does not wake the leader, because the
+            // leader runs.
             let called = !away.come_home();
             if called && self.plant.has(Plant::LeavesBlindly) {
                 led = Led::Called;

@@ -46,7 +46,7 @@ mod real {
     }
 }
 
-/// A value in cache lines of its own, because several cores write the value, or would write other values in the same
+/// A value that is alone in its cache lines, because several cores write it, or would write other values in the same
 /// line.
 #[derive(Debug)]
 #[repr(align(64))]
@@ -106,7 +106,7 @@ impl Word {
     fn sleep(&self, value: u32, deadline: Option<u64>) {
         use rustix::thread::futex;
         let timespec = deadline.map(crate::clock::timespec);
-        // The call was interrupted, timed out, or the word has changed: the caller checks the word in every case.
+        // The call was interrupted, timed out, or found another value: the caller checks the word in every case.
         let any = std::num::NonZeroU32::MAX;
         let _ = futex::wait_bitset(&self.value, futex::Flags::PRIVATE, value, timespec.as_ref(), any);
     }
@@ -133,7 +133,7 @@ impl Word {
         self.sleeper.1.notify_one();
     }
 
-    /// Plays the kernel's timer: the sleeper returns though no thread changed the word.
+    /// Acts as the kernel's timer: the sleeper returns although no thread has changed the word.
     pub fn time_out(&self) {
         self.wake();
     }

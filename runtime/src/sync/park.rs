@@ -1,5 +1,5 @@
-//! How the thread that runs the node's futures waits: it sleeps, or it waits in the link (D127). Every waker of a
-//! future wakes this thread.
+//! How the thread that runs the node's futures waits: it sleeps, or it waits in the link's socket (D127). Every waker
+//! of a future wakes this thread.
 
 use crate::sync::Word;
 use crate::sync::handoff::ThreadWaker;
@@ -13,7 +13,7 @@ const RUNNING: u32 = 0;
 const SLEEPING: u32 = 1;
 /// The thread was called, because a future is ready to be polled.
 const CALLED: u32 = 2;
-/// The thread waits in the link, or is about to: then `waker` wakes it.
+/// The thread waits in the link's socket, or is about to: then `waker` wakes it.
 const AWAY: u32 = 3;
 
 pub(crate) struct Park<P = Sound> {
@@ -27,12 +27,12 @@ pub(crate) struct Park<P = Sound> {
 pub(crate) enum Plant {
     /// The thread waits although it was called after its last poll.
     GoesBlindly,
-    /// A thread that waits in the link is not woken.
+    /// A thread that waits in the link's socket is not woken.
     NoWaker,
 }
 
 impl Park {
-    /// Makes the state of a running thread. `waker` wakes the thread while it waits in the link.
+    /// Makes the state of a running thread. `waker` wakes the thread while it waits in the link's socket.
     pub fn new(waker: Option<Arc<dyn ThreadWaker>>) -> Self {
         Self::planted(waker, Sound)
     }
@@ -54,11 +54,12 @@ impl<P: Plants<Plant>> Park<P> {
         }
     }
 
-    /// The thread is about to poll all futures that were woken so far. A call after this one keeps the thread from waiting.
+    /// Notes that the thread is about to poll all futures that are marked by now. A later call keeps the thread from
+    /// waiting.
     pub fn begins(&self) {
-        // The word is swapped only if the thread was called. A call that this load misses keeps the thread from waiting
-        // later. This is a swap and not a store, because its acquire pairs with the swap in `call`, so the thread sees
-        // all writes before the call.
+        // The word is swapped only if the thread was called. If this load misses a call, the call still keeps the
+        // thread from waiting later. A swap is needed, not a store: its acquire pairs with the swap in `call`, so the
+        // thread sees all writes before the call.
         if self.word.load() != RUNNING {
             self.word.swap(RUNNING);
         }

@@ -1,5 +1,5 @@
-//! Bugs that are planted on purpose, and that the explorers of schedules (loom and shuttle) must find. At each place where a
-//! data structure could be wrong, it asks whether a bug is planted there.
+//! Bugs that are planted on purpose, and that the explorers of schedules (loom and shuttle) must find. A data
+//! structure asks at each place that could be wrong whether a bug is planted there.
 
 /// The bugs that are planted in a data structure.
 pub(crate) trait Plants<Bug> {

@@ -11,36 +11,37 @@ pub(crate) trait Protected {
     /// The work that the thread does once the lock is released. The caller owns it.
     type Effects;
 
-    /// Whether only the task's thread needs the result of this input, so that the input may wait until that thread enters.
+    /// Whether only the task's thread needs the result of this input. If so, the input may wait until that thread
+    /// makes its next call.
     fn may_wait(input: &Self::Input) -> bool;
 
     /// Takes one input, and may change it. Returns an answer for the task, if there is one.
     fn feed(&mut self, input: &mut Self::Input, effects: &mut Self::Effects) -> Option<Self::Completion>;
 
-    /// Processes inputs that the protected state has for itself. Called after each group of inputs that a thread
-    /// processes for other threads.
+    /// Processes inputs that the protected tasks have for each other. Called after each group of inputs that a thread
+    /// has processed.
     fn work_inside(&mut self, effects: &mut Self::Effects) {
         let _ = effects;
     }
 
-    /// Called last before the lock is released. Returns the instant at which the protected state next expires.
+    /// Called last, before the lock is released. Returns the instant of the protected state's next expiry.
     fn settle(&mut self, rest: Rest, effects: &mut Self::Effects) -> u64;
 }
 
-/// Wakes a task's thread that waits elsewhere than on its word.
+/// Wakes a task's thread that waits in the link's socket, and not on its futex word.
 pub(crate) trait ThreadWaker: Send + Sync {
-    /// Ends the thread's present wait; if it is not waiting, its next wait.
+    /// Ends the thread's current wait; if it is not waiting, its next wait.
     fn wake(&self);
 }
 
 /// What the task's thread does once the lock is released.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Rest {
-    /// The thread goes on running, and it is not known when it comes back.
+    /// The thread goes on running, and it is not known when it enters again.
     No,
-    /// The thread goes to sleep now, and comes back at the protected state's next expiry.
+    /// The thread goes to sleep now, and enters again at the protected state's next expiry.
     Begins,
-    /// The thread still sleeps, and comes back at the expiry that `settle` returned for [`Begins`](Self::Begins).
+    /// The thread still sleeps, and enters again at the expiry that `settle` returned for [`Begins`](Self::Begins).
     GoesOn,
 }
 

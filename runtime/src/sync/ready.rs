@@ -36,7 +36,7 @@ pub(crate) enum Plant {
 }
 
 impl ReadyFutures {
-    /// `count` futures, all of them ready: each is polled once at the start.
+    /// Makes `count` futures, all ready, so that each is polled once at the start.
     pub fn new(count: usize, park: Park) -> Self {
         Self::planted(count, park, Sound)
     }
@@ -70,8 +70,8 @@ impl<P: Plants<Plant>> ReadyFutures<P> {
         }
     }
 
-    /// As [`wake`](Self::wake), for a call on the thread of the futures itself. That thread polls the futures, so it
-    /// need not be called.
+    /// As [`wake`](Self::wake), but called on the thread of the futures itself. That thread runs, so it needs no
+    /// wake-up.
     pub fn mark_own(&self, place: usize) {
         let word = &self.words[place / BITS].own;
         word.store(word.load(Ordering::Relaxed) | (1 << (place % BITS)), Ordering::Relaxed);

@@ -9,9 +9,9 @@
 //!      \--------------------------------------- enters ----------------------------- READY
 //! ```
 //!
-//! The *inbox* is a ring of slots for input that other threads leave. While the thread spins, others leave all input there.
-//! While the thread runs, they leave only input that may wait. So the thread checks the inbox after it has changed the
-//! word. Others check the word after they have left input.
+//! The *inbox* is a ring of slots for input that other threads leave. While the thread spins, other threads leave all
+//! input there. While the thread runs, they leave only input that may wait. So the thread changes its word first and
+//! then checks the inbox, and the other threads leave input first and then check the word.
 
 use crate::sync::awake::ThreadState;
 use crate::sync::plant::{Plants, Sound};
@@ -25,7 +25,7 @@ const RUNNING: u32 = 0;
 const SLEEPING: u32 = 1;
 /// There is an answer or input for the task's thread, or its program has ended: the thread must not sleep.
 const READY: u32 = 2;
-/// The task's thread waits in the link, or is about to: then `waker` wakes it.
+/// The task's thread waits in the link's socket, or is about to: then `waker` wakes it.
 pub(super) const AWAY: u32 = 3;
 /// The task's thread spins on its word and on the inbox.
 const LOOKING: u32 = 4;
@@ -39,7 +39,7 @@ pub(crate) enum Plant {
     NoMark,
     /// The futex word is set to `READY`, but no thread is woken.
     NoWake,
-    /// The waker does not wake a thread that waits in the link.
+    /// The waker does not wake a thread that waits in the link's socket.
     NoWaker,
     /// Stopping a task does not wake the task's thread.
     SilentStop,
@@ -53,16 +53,16 @@ pub(crate) enum Plant {
     Overtakes,
     /// A thread that has spun goes to sleep without checking its word again.
     SleepsBlindly,
-    /// A thread that has left input which may not wait does not check whether the task's thread spins.
+    /// After leaving input that must not wait, a thread does not check whether the task's thread still spins.
     TrustsTheLook,
-    /// A thread that has left input which may wait does not check whether the task's thread runs.
+    /// After leaving input that may wait, a thread does not check whether the task's thread still runs.
     TrustsTheRun,
     /// A thread goes to sleep without checking for input that was left to it.
     SleepsOnIt,
     /// A spinning thread checks only its word, and not the inbox.
     LooksPastIt,
-    /// The fence between write and read is missing, both in the thread to which input is left and in the thread that
-    /// leaves it.
+    /// Both threads lack the fence between their write and their read: the one that leaves input, and the task's
+    /// thread.
     NoFenceForARunner,
 }
 
@@ -71,7 +71,7 @@ pub(crate) enum Plant {
 pub(super) struct Was(u32);
 
 impl Was {
-    /// The thread needs no wake-up.
+    /// The value for a thread that ran, and so needs no wake-up.
     pub const RUNNING: Self = Self(RUNNING);
 }
 
@@ -79,7 +79,7 @@ impl Was {
 pub(super) struct Waiting<P = Sound> {
     word: Line<Word>,
     pub thread_state: ThreadState,
-    /// Wakes the task's thread if it waits elsewhere than on its word.
+    /// Wakes the task's thread if it waits in the link's socket, and not on its futex word.
     waker: Option<Arc<dyn ThreadWaker>>,
     pub plant: P,
 }
@@ -93,8 +93,8 @@ impl<P: Plants<Plant>> Waiting<P> {
         self.word.0.load() == RUNNING
     }
 
-    /// Whether the task's thread is about to take input that other threads leave to it. `may_wait` says whether the
-    /// input may wait for a running thread. The answer may change at any time, so a thread that has left input [asks
+    /// Whether the task's thread will soon take input that other threads leave for it. `may_wait` says whether the
+    /// input may wait for a running thread. The result may change at any time, so a thread that has left input [asks
     /// again](Self::takes).
     pub fn may_take(&self, may_wait: bool) -> bool {
         match self.word.0.load() {
@@ -109,8 +109,8 @@ impl<P: Plants<Plant>> Waiting<P> {
         self.word.0.load() == READY
     }
 
-    /// Notes that the task's thread makes a call; the thread holds the lock. The word is written only if needed,
-    /// because other threads read its cache line. All other writes of the word happen under the lock, too.
+    /// Notes that the task's thread enters the hand-off; the thread holds the lock. The word is written only if it
+    /// changes, because other threads read its cache line. All other writes of the word happen under the lock, too.
     pub fn comes_in(&self) {
         if !self.is_running() {
             self.word.0.store(RUNNING);
@@ -131,7 +131,7 @@ impl<P: Plants<Plant>> Waiting<P> {
         if self.plant.has(Plant::NoWake) { Was::RUNNING } else { was }
     }
 
-    /// Wakes the thread from the state that it had before its word was marked.
+    /// Wakes the thread if it needs that: `was` is its state before its word was marked.
     pub fn call(&self, Was(was): Was) {
         if was == SLEEPING || was == AWAY {
             self.thread_state.returns();
@@ -161,7 +161,7 @@ impl<P: Plants<Plant>> Waiting<P> {
     /// Notes that the thread is about to wait, in the state `to`. Returns false if there is an answer or input for the
     /// thread.
     pub fn goes(&self, to: u32, was_left: impl FnOnce() -> bool) -> bool {
-        // This comes before the word changes, because a thread that sees the new word and wakes this thread counts it
+        // This must precede the change of the word: a thread that sees the new word and wakes this thread counts it
         // as running again.
         self.thread_state.goes();
         if self.plant.has(Plant::SleepsBlindly) {
@@ -198,8 +198,7 @@ impl<P: Plants<Plant>> Waiting<P> {
         !self.word.0.replace(LOOKING, RUNNING)
     }
 
-    /// Whether input was left to the thread while it ran or spun. Called once the word has the value with which the
-    /// thread waits.
+    /// Whether input was left for the thread while it ran or spun. Called after the word shows that the thread waits.
     fn asks(&self, was_left: impl FnOnce() -> bool) -> bool {
         if self.plant.has(Plant::SleepsOnIt) {
             return false;
@@ -210,9 +209,10 @@ impl<P: Plants<Plant>> Waiting<P> {
         was_left()
     }
 
-    /// Whether the task's thread takes the input that was left to it a moment ago. `may_wait` says whether the input
-    /// may wait for a running thread. The fence, between the store into the inbox and the load of the word, pairs with
-    /// two others: the one in `asks`, and the one before a thread that has made a call rechecks the inbox.
+    /// Whether the task's thread will take the input that was left for it a moment ago. `may_wait` says whether the
+    /// input may wait for a running thread. The fence is between the store into the inbox and the load of the word.
+    /// It pairs with two others: the one in `asks`, and the one that the task's thread makes after a call, before it
+    /// rechecks the inbox.
     pub fn takes(&self, may_wait: bool) -> bool {
         self.fence_for_a_runner();
         self.may_take(may_wait)

@@ -19,8 +19,7 @@ pub const LONG: Duration = Duration::from_secs(60);
 /// The time of [`LONG`] in ticks.
 pub const LONG_TICKS: Ticks = Ticks(60_000_000);
 
-/// A time_out that a test lets expire although other tasks must not exceed it. Even a busy machine lets every thread
-/// run within this time.
+/// A time_out that expires in a test. It is long enough for all threads to run meanwhile, even on a busy machine.
 pub const AMPLE: Duration = Duration::from_secs(4);
 
 /// The time of [`AMPLE`] in ticks.

@@ -19,13 +19,13 @@ impl Sink for Nobody {
     fn discarded(&self, _reason: LinkDiscard) {}
 }
 
-/// Links of both nodes of a cell that know each other's addresses, without faults.
+/// Links for both nodes of a cell, without faults. Each link knows the other one's address.
 #[allow(dead_code, reason = "`process.rs` uses it")]
 pub fn udp_links(table: &Arc<CellTable>) -> [UdpLink; 2] {
     bound(table).try_into().unwrap_or_else(|_| panic!("two nodes"))
 }
 
-/// Links of all nodes of a cell that know each other's addresses.
+/// Links for all nodes of a cell. Each link knows the addresses of the others.
 pub fn links(table: &Arc<CellTable>, loss: f64) -> Vec<Arc<FaultyLink<UdpLink>>> {
     let faulty = |(seed, link)| {
         let link = FaultyLink::new(link, seed);
@@ -35,7 +35,7 @@ pub fn links(table: &Arc<CellTable>, loss: f64) -> Vec<Arc<FaultyLink<UdpLink>>>
     (0..).zip(bound(table)).map(faulty).collect()
 }
 
-/// Links of all nodes of a cell that know each other's addresses, with keys.
+/// Links with keys for all nodes of a cell. Each link knows the addresses of the others.
 #[allow(dead_code, reason = "`all.rs` uses it")]
 pub fn links_with_keys(table: &Arc<CellTable>) -> Vec<UdpLink> {
     let cell = draw_cell_key().expect("random numbers");

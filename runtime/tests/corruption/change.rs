@@ -131,7 +131,7 @@ fn alter_request(request: &mut Request, random: &mut fastrand::Rng) {
     }
 }
 
-/// Draws other contents of the same length; one byte in place of empty contents.
+/// Draws other contents of the same length; for empty contents, one byte.
 fn other(bytes: &[u8], random: &mut fastrand::Rng) -> Contents {
     let mut bytes = if bytes.is_empty() { vec![0] } else { bytes.to_vec() };
     let at = random.usize(..bytes.len());

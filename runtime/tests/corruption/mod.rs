@@ -43,9 +43,9 @@ fn is_noticed(bytes: &[u8], run: &Recorded) -> bool {
     !same || reader.ending() != Ending::Ended
 }
 
-/// For each task, the observable parts of a recording, whatever the recorded digests say: all outputs of its
-/// communication task, and all requests of its script with their answers, in order. The outputs are hashed, so
-/// collisions of 64 bits are possible.
+/// The observable parts of a recording for each task, whatever digests it has: all outputs of the communication task,
+/// and all requests of its script with their answers, in order. The outputs are hashed, so two may be confused with a
+/// chance of 1 in 2^64.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Observable(BTreeMap<TaskId, (u64, Vec<String>)>);
 
@@ -132,7 +132,7 @@ struct Count {
     made: usize,
     observable: usize,
     noticed: usize,
-    /// The number of changes that altered nothing observable, but that the replay noticed nevertheless.
+    /// How many changes altered nothing observable and were noticed all the same.
     besides: usize,
 }
 
@@ -193,8 +193,8 @@ fn changed_bytes_of_the_file_are_noticed() {
     assert!(noticed * 1_000 >= observable * 999, "{noticed} of {observable}: {counts:#?}");
 }
 
-/// After a gap only the keyframe says what the state was. A changed keyframe may contain any state: it is refused or
-/// replayed.
+/// After a gap only the keyframe has the state. A changed keyframe may have any state, so the replay must refuse it
+/// or run from it.
 #[test]
 fn changed_keyframes_are_refused_or_replayed() {
     let runs = runs();

@@ -13,8 +13,8 @@ use process::{Held, threads, trend, worked};
 use rig::{Asked, Plan, Ran, THREADS, Tally, run};
 use std::time::{Duration, Instant};
 
-/// How many KiB more memory the process may hold at the end than at the beginning, however long the run, because of the
-/// allocator's caches.
+/// How many KiB more memory the process may hold at the end than at the beginning, however long the run takes. The
+/// allocator's caches may grow by that much.
 const FLAT: f64 = 512.0;
 /// The least number of measurements of memory, descriptors and threads, however busy the machine is.
 const LOOKS: usize = 8;

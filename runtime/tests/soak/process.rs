@@ -60,8 +60,8 @@ pub fn worked() -> Duration {
     Duration::from_millis(10 * (ticks(11) + ticks(12)))
 }
 
-/// Memory at the beginning and the end of a series, each a mean over a quarter of it, in KiB, and its slope by least
-/// squares in KiB per hour.
+/// The trend of the memory in a series: its mean over the first quarter and over the last one, in KiB, and its slope
+/// by least squares, in KiB per hour.
 pub fn trend(series: &[Held]) -> (f64, f64, f64) {
     let mean =
         |part: &[Held], of: &dyn Fn(&Held) -> f64| part.iter().map(of).sum::<f64>() / part.len() as f64;

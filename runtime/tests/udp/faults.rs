@@ -34,7 +34,7 @@ fn the_same_seed_loses_the_same_sends() {
     assert_ne!(lost(2), first);
 }
 
-/// Datagrams that leave in one call are as separate in the network as those that leave in several calls.
+/// Datagrams that leave in one call can be lost one by one, as if each had left in a call of its own.
 #[test]
 fn each_datagram_of_a_call_is_lost_by_itself() {
     const CALLS: u64 = 50;

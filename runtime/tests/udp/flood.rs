@@ -163,11 +163,12 @@ fn a_flood_from_elsewhere_loses_nothing_of_a_neighbour() {
     assert!(connected.values().eq(&[0, 0]), "two neighbours: {connected:?}");
 }
 
-/// The polling thread reads the socket of strangers with pauses. Otherwise it would only drop the flood, and the tasks
-/// would lose its core.
+/// The polling thread reads the socket of strangers with pauses. Without them it would only drop the flood, and the
+/// tasks would lose its core.
 #[test]
 fn a_flood_is_looked_at_in_turns_of_a_millisecond() {
-    /// The number of meaningless datagrams after which a visit ends; the next visit then waits.
+    /// The number of datagrams after which a visit to the socket ends, if all are meaningless; the next visit then
+    /// waits.
     const VISIT: u64 = 16;
     const VISITS: u64 = 12;
     let (b, heard) = (link(B), Heard::default());
@@ -180,8 +181,8 @@ fn a_flood_is_looked_at_in_turns_of_a_millisecond() {
     // The pause of a millisecond counts from a clock reading a few microseconds before the last discards of its visit.
     let least = Duration::from_millis(VISITS - 1) * 9 / 10;
     assert!(start.elapsed() >= least, "{} datagrams within {:?}", came(), start.elapsed());
-    // A poll that ends before the pause does is on time. The pause began after the last discard; it can be over by now
-    // only if this thread stood still.
+    // A poll during the pause reads nothing. The pause began after the last discard. It can be over by now only if
+    // this thread did not run for a while.
     let discarded = heard.discarded.lock().unwrap().expect("all of it means nothing");
     let end = b.poll(&heard, Some(Instant::now()));
     let since = discarded.elapsed();
@@ -200,15 +201,15 @@ fn request_of(a: &UdpLink) -> Vec<u8> {
     bytes
 }
 
-/// For a request that a stranger made up, a node with keys computes one hash. For a copy of a genuine request, it computes
-/// two more and may send a cookie.
+/// A request that a stranger made up costs a node with keys one hash. A copy of a genuine request costs two more
+/// hashes, and perhaps the sending of a cookie.
 #[test]
 fn a_flood_of_requests_for_sessions_loses_nothing_of_a_neighbour() {
     /// How many packets the neighbour sends, each some time after the one before.
     const PACKETS: u32 = 2_000;
     let (pause, most) = (Duration::from_micros(250), Duration::from_secs(60));
-    // The flood that goes elsewhere shows what the flood itself costs this machine, and the one of garbage what any flood
-    // costs the node.
+    // A flood to another address shows what a flood costs this machine; a flood of garbage shows what any flood costs
+    // the node.
     let elsewhere = raw_socket();
     for what in ["no flood", "elsewhere", "garbage", "requests"] {
         let (a, b) = pair_with_keys(&keys());

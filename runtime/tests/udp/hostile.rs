@@ -42,7 +42,7 @@ impl Victim {
         self.reasons([bytes])[0]
     }
 
-    /// Checks that the node still accepts a good datagram.
+    /// Asserts that the node still accepts a valid datagram.
     fn still_listens(&self, counter: u64) {
         self.throw(&sealed(&envelope(counter), &[encoded(1)]));
         let got = self.memory.take_packets(&self.link, 1);

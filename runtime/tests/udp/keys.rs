@@ -96,7 +96,7 @@ fn a_node_that_starts_again_is_heard() {
     assert_eq!(at_b.take_discards(&b, 1), [LinkDiscard::StaleSession]);
 }
 
-/// The neighbour goes on in the session with the node's earlier start until it gets a datagram in the new session.
+/// The neighbour sends in the session with the node's earlier start until it gets a datagram in the new session.
 #[test]
 fn a_node_that_only_listens_is_spoken_to_though_its_first_greeting_was_lost() {
     let keys = keys();
@@ -120,7 +120,7 @@ fn a_node_that_only_listens_is_spoken_to_though_its_first_greeting_was_lost() {
             }
         }
         number += 1;
-        // Nothing listened at the address for a moment.
+        // No socket was bound to the address for a moment, so this send may fail.
         let _ = a.send(B, &[packet(number)]);
         at_b.delivered() > 0
     });

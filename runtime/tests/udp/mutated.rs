@@ -54,7 +54,7 @@ fn goes_on((a, at_a): (&UdpLink, &Memory), (b, at_b): (&UdpLink, &Memory), numbe
         let got = std::mem::take(&mut *at_b.packets.lock().unwrap());
         let genuine = got.iter().find(|got| got.0 == A && is_new(got.1.id.sequence.get()));
         if let Some((_, _, charge)) = genuine {
-            // The packet must not be charged as an old packet either, because it would then expire too early.
+            // The packet must not be charged as if it were old: it would then expire too early.
             assert!(charge.0 <= 20_000_000, "{charge} us");
             return true;
         }

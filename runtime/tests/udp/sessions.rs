@@ -1,5 +1,5 @@
-//! Tests of sessions: a node always accepts its neighbours' datagrams again after a restart, and no dead session takes
-//! over (D144).
+//! Tests of sessions: after a restart of a node, its neighbours accept its datagrams again. A dead session never
+//! replaces the current one (D144).
 
 use super::rig::{
     A, B, C, Memory, PATIENCE, any_port, cell, digests, encoded, envelope, introduced, link, packet, pair,
@@ -60,7 +60,7 @@ fn acquainted(a: &UdpLink, b: &UdpLink) {
     at_b.take_packets(b, 1);
 }
 
-/// Lets A send packets to B, one by one, until B gets one. Returns how many packets were lost before that.
+/// Lets A send packets to B, one by one, until B gets one. Returns how many of A's packets were lost.
 fn lost_until_heard(a: &UdpLink, b: &UdpLink, at_b: &Memory, first: u32) -> u32 {
     let at_a = Memory::default();
     for number in first..first + 100 {
@@ -205,7 +205,7 @@ fn a_counter_that_jumped_ahead_comes_back() {
     assert_eq!(at_b.take_packets(&b, 1)[0].1, packet(7));
     assert!(lost_until_heard(&a, &b, &at_b, 100) <= 1);
     assert_eq!(b.count(UdpCount::CountersMended), 1);
-    // A datagram with an earlier counter counts as seen.
+    // The datagram's counter is not new, so the datagram counts as seen.
     throw(&bytes, &b);
     at_b.discards.lock().unwrap().clear();
     assert_eq!(at_b.take_discards(&b, 1), [LinkDiscard::Replayed]);
@@ -293,7 +293,7 @@ fn a_node_that_nobody_answers_goes_on() {
     assert_eq!(link(B).ask_incarnations(PATIENCE), []);
 }
 
-/// C knows A only through packets that B relayed, and still remembers A's incarnation.
+/// C has received A's packets only through the relay B, and remembers A's incarnation all the same.
 #[test]
 fn what_others_pass_on_is_remembered_too() {
     let (b, c) = (link(B), link(C));

@@ -68,7 +68,7 @@ fn a_sender_stopped_between_its_clock_and_the_socket_is_charged() {
     assert!(charge.0 >= micros(LONG), "{charge} us");
 }
 
-/// The same test without any echo, because B never sends.
+/// A stopped sender without any echo: B never sends, so it does not learn A's clock.
 #[test]
 fn a_stopped_sender_is_charged_without_a_round_trip_too() {
     let (a, b) = (link(A), link(B));
@@ -77,8 +77,8 @@ fn a_stopped_sender_is_charged_without_a_round_trip_too() {
     let begin = Instant::now();
     a.send(B, &[packet(1)]).unwrap();
     memory.take_packets(&b, 1);
-    // The fastest datagram is assumed to have kept the declared bound. Here there is only one datagram, and it took at most
-    // this long.
+    // Without an echo, the fastest datagram is assumed to have kept the declared bound. So far there is one datagram,
+    // which took at most this long.
     let first = begin.elapsed();
     let read = Instant::now();
     thread::sleep(LONG);

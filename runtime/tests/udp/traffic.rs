@@ -65,7 +65,7 @@ fn a_neighbour_without_an_address_is_not_ready() {
     assert_eq!(a.send(B, &[packet(1)]), Ok(1));
 }
 
-/// The socket of the neighbour that is connected to this node gets the datagram, and no other socket gets it (D155).
+/// Only the neighbour's socket that is connected to this node gets the datagram (D155).
 #[test]
 fn datagrams_leave_from_the_address_that_receives() {
     for any in ["127.0.0.1:0", "0.0.0.0:0"] {
@@ -91,7 +91,7 @@ fn what_waits_in_a_neighbours_socket_outlasts_its_address() {
     }
 }
 
-/// The address book has an outdated address of the neighbour, or none.
+/// The address book has an outdated address of the neighbour, or none at all.
 #[test]
 fn a_neighbour_at_another_address_is_heard_and_answered_at_the_known_one() {
     let (a, b) = pair();
@@ -115,7 +115,7 @@ fn a_wake_ends_the_present_or_the_next_poll() {
     assert_eq!(b.poll(&memory, None), PollEnd::Woken);
     thread::scope(|s| {
         let polls: Vec<_> = (0..3).map(|_| s.spawn(|| b.poll(&memory, None))).collect();
-        // Each wake-up ends every poll that has begun. The wake-up after that ends a poll that had not begun.
+        // A wake-up ends all polls that have begun. If none has, the wake-up ends the next poll.
         let end = Instant::now() + PATIENCE;
         while !polls.iter().all(thread::ScopedJoinHandle::is_finished) {
             assert!(Instant::now() < end);
@@ -185,7 +185,7 @@ fn whoever_waits_takes_over_the_socket() {
                 thread::yield_now();
             }
         }
-        // A poll that has not begun takes a later wake-up.
+        // A later wake-up ends a poll that has not begun yet.
         let end = Instant::now() + PATIENCE;
         while !polls.iter().all(thread::ScopedJoinHandle::is_finished) {
             assert!(Instant::now() < end);

@@ -282,9 +282,9 @@ pub(super) fn inner(envelope: &Envelope, count: u8) -> [u8; INNER_BYTES] {
 pub struct Bound {
     /// The digests that both nodes have in common.
     pub digests: Digests,
-    /// The sender, and its session without keys: one start of that node.
+    /// The sender, and the number that it drew when it opened its socket.
     pub sender: (NodeId, Session),
-    /// The receiver, and its session without keys: one start of that node.
+    /// The receiver, and the number that it drew when it opened its socket.
     pub receiver: (NodeId, Session),
 }
 

@@ -58,7 +58,7 @@ pub struct PortName {
     pub class: Class,
     /// The value of `bounded_buffer`: how many messages the port's buffer holds.
     pub capacity: u16,
-    /// The margin of a `waitfor`; zero on other ports.
+    /// The margin of a `waitfor`: the time that every member must have left at a release. Zero on other ports.
     pub margin: Ticks,
     /// The tasks that have the port: the owner first, then the users; of a `waitfor`, all members.
     pub parties: Vec<PartyName>,

@@ -89,7 +89,7 @@ pub fn sockets_in(base: &Path) -> Result<Vec<PathBuf>, PlaceError> {
     Ok(found)
 }
 
-/// The sockets in the folder of one cell. A missing folder, and one of another user, has none.
+/// The sockets in the folder of one cell. A missing folder has no sockets, and a folder of another user is skipped.
 #[must_use]
 pub fn sockets_of(cell: &Path) -> Vec<PathBuf> {
     if !fs::symlink_metadata(cell).is_ok_and(|m| m.is_dir() && Some(m.uid()) == own_uid()) {

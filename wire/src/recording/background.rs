@@ -268,7 +268,7 @@ impl Shared {
     }
 }
 
-/// The loop of the writing thread. Ends when it is told to stop or the medium fails.
+/// The loop of the writing thread. Ends when the recording is stopped or the medium fails.
 fn write<W: Write>(
     mut writer: RecordingWriter<W>,
     queue: &Receiver<Record>,

@@ -61,8 +61,8 @@ pub struct Header {
     pub restarted: bool,
     /// The name and version of the program that ran.
     pub build: String,
-    /// Whether the links of the node ran without authentication keys. In a recording of observations: whether a node was
-    /// known to run so when the recording began; each snapshot says it of its node.
+    /// Whether the links of the node ran without authentication keys. In a recording of observations: whether any node
+    /// was known to run without keys when the recording began. Each snapshot has this flag for its own node.
     pub insecure: bool,
     /// When the recording began, in microseconds since 1970. For people; nothing is computed from it.
     pub began: u64,
@@ -112,8 +112,8 @@ pub enum Record {
     },
     /// The last record of a recording that was ended. Such a recording is complete except for its gaps.
     End,
-    /// An input of a task's script. Signals of the communication task are not recorded so, because they follow from its
-    /// inputs. The input has the time of the task's previous record.
+    /// An input of a task's script. Signals of the communication task are not recorded here, because they follow from
+    /// its inputs. The input has the time of the task's previous record.
     Script {
         /// The task whose script took the step.
         task: TaskId,

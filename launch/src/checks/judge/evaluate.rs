@@ -152,7 +152,7 @@ impl Judge<'_> {
         Some(own.is_some_and(|round| round.is_none() || round == newest))
     }
 
-    /// The present values that a check reads, as text.
+    /// The current values that a check reads, as text.
     pub(super) fn values(&self, check: usize) -> Vec<String> {
         let mut words = Vec::new();
         for term in terms(&self.loaded.checks[check]) {

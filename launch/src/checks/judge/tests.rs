@@ -13,7 +13,8 @@ fn loaded() -> Loaded {
     load(&Source { name: "c.cell".into(), text: CELL.into(), paper: false }).expect("a sound cell")
 }
 
-/// A judge that has got these changes of `a.x` and `b.y`, each with its time; both values are false at first.
+/// A judge that has these changes of `a.x` and `b.y`, each as its time, task and new value. Both values are false at
+/// first.
 fn judge<'a>(loaded: &'a Loaded, changes: &[(u64, u16, i64)]) -> Judge<'a> {
     let mut judge = Judge::new(loaded, &[NodeId(0), NodeId(1)]);
     for &(at, task, value) in [(1, 0, 0), (1, 1, 0)].iter().chain(changes) {

@@ -14,7 +14,7 @@ fn report(task: u16, events: &[(i64, What)]) -> Attended {
     report
 }
 
-/// A task that was released in these rounds.
+/// The report of a task that was released in each of these rounds.
 fn released_in(task: u16, rounds: std::ops::Range<i64>) -> Attended {
     let events = rounds.flat_map(|round| [(round, What::Announced), (round, What::Released)]);
     report(task, &events.collect::<Vec<_>>())
@@ -34,7 +34,7 @@ fn counts(rounds: &Rounds) -> [u64; 6] {
 fn the_rounds_of_all_members_give_the_outcomes() {
     let all = [0, 1, 2].map(|task| released_in(task, 1..101));
     assert_eq!(counts(&of(&all)), [100, 0, 0, 0, 0, 0]);
-    // C gave up the last round, in which the others were released.
+    // The third member gave up the last round, in which the other members were released.
     let [a, b, _] = all;
     let mut c = released_in(2, 1..100);
     c.add(100, What::Announced);
@@ -48,7 +48,7 @@ fn no_member_was_released_where_all_gave_up() {
     let all = [0, 1].map(|task| report(task, &waits));
     let late = released_in(2, 3..4);
     assert_eq!(counts(&of(&[all[0].clone(), all[1].clone(), late])), [0, 1, 0, 1, 1, 0]);
-    // Without the report of the third one it is unknown whether that one was released.
+    // Without a report of the third member it is unknown whether that member was released.
     assert_eq!(counts(&of(&all)), [0, 0, 0, 1, 1, 0]);
 }
 
@@ -59,7 +59,7 @@ fn a_release_while_another_member_had_not_arrived_is_false_only_if_that_member_t
         report(2, &[(1, What::Announced), (1, What::Released), (3, What::Announced), (3, What::Released)]);
     let [a, b] = others.clone();
     assert_eq!(counts(&of(&[a, b, absent.clone()])), [2, 0, 1, 0, 0, 2]);
-    // Its node was started again after round 1, and what the first start did in round 2 is in a report that is missing.
+    // The third member's node was restarted after round 1. The report of its first start, about round 2, is missing.
     let [a, b] = others.clone();
     let second = released_in(2, 3..4);
     assert_eq!(counts(&of(&[a, b, second])), [1, 0, 0, 2, 0, 0]);
@@ -72,7 +72,7 @@ fn a_member_that_started_late_counts_its_rounds_as_the_others_do() {
     let long = [0, 1].map(|task| released_in(task, 1..200_001));
     let late = released_in(2, 3_300..3_393);
     let [a, b] = long;
-    // 3 wraps of 65,536 rounds came before.
+    // Three wraps of 65,536 rounds had passed before the late member's node started.
     let [released, .., unknown, _, falsely] = counts(&of(&[a, b, late]));
     assert_eq!((released, unknown, falsely), (93, 200_000 - 93, 0));
 }
@@ -90,8 +90,8 @@ fn too_many_ranges_make_the_oldest_rounds_unknown() {
     assert_eq!(report.told().map(|(first, _)| first), Some(4 * RANGES as i64 + 2));
 }
 
-/// The tally counts the events of one machine, each with its time. Where every member tells of every round, the sets of all members
-/// must give the same outcomes.
+/// If every member reports every round, the sets of all members must give the same outcomes as the tally, which
+/// counts the events of one machine with their times.
 #[test]
 fn the_sets_say_what_the_events_say() {
     let mut random = fastrand::Rng::with_seed(1987);
@@ -101,7 +101,7 @@ fn the_sets_say_what_the_events_say() {
         for round in 1..=9 {
             for (task, report) in reports.iter_mut().enumerate() {
                 let events: &[What] = match random.u8(..8) {
-                    // All members tell of the first round and of the last one.
+                    // Every member has events in the first round and in the last round.
                     _ if round == 9 => &[What::Announced],
                     0 if round > 1 => &[],
                     1 => &[What::Announced],

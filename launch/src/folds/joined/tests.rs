@@ -10,7 +10,8 @@ use imrs_protocol::{NodeId, PortCounters, PortId, Round, TaskId};
 use imrs_wire::obs::LinkReport;
 use std::sync::Arc;
 
-/// The report of the machine that runs one node: each of the `rounds` released its only task, which sent as many messages.
+/// The report of the machine that runs one node. Each of the `rounds` released the node's only task, which sent one
+/// message in each round.
 fn machine(node: u16, rounds: u16) -> Report {
     let loaded = beam_lift();
     let (id, task) = (NodeId(node), TaskId(node));
@@ -43,7 +44,7 @@ fn the_reports_of_all_machines_give_one_summary() {
     assert_eq!((lift.rounds.released, lift.rounds.unknown, lift.false_releases), (4, 1, Some(0)));
     assert_eq!((summary.ports[0].sent, summary.nodes.len(), summary.seconds), (14, 3, 5.0));
     assert!(trouble.is_empty());
-    // No machine can judge a check about tasks of several of them.
+    // No machine can judge a check about tasks on several machines.
     let apart = summary.incomplete.iter().filter(|line| line.contains("share no clock")).count();
     assert_eq!(apart, summary.incomplete.len());
 }

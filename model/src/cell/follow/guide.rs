@@ -16,13 +16,13 @@ use std::time::Instant;
 /// The number of inputs between two kept states of the follower. The search for roundings returns to a kept state to try
 /// another rounding.
 const KEEP_EVERY: usize = 32;
-/// The greatest number of the last inputs whose times may be rounded otherwise.
+/// The greatest number of the last inputs whose roundings a search may change.
 const BACK: usize = 400;
 /// A rounding is adopted at once if the model then follows this many inputs past the input at which it was stuck.
 const BEYOND: usize = 12;
 
-/// The greatest number of roundings that one search combines. Also the number of its best trials that the search continues
-/// with a further rounding.
+/// `DEEP`: how many roundings one search combines at most. `WIDTH`: to how many of the best trials a search adds a
+/// further rounding.
 const DEEP: usize = 4;
 const WIDTH: usize = 3;
 
@@ -94,8 +94,8 @@ impl Guide {
         }
     }
 
-    /// Rounds earlier times otherwise until the model can follow the run past `stuck`. Returns whether it can. If no single
-    /// rounding leads [`BEYOND`] inputs further, a second rounding is added to the best trials.
+    /// Tries other roundings of earlier times until the model can follow the run past `stuck`. Returns whether it can.
+    /// If no single rounding leads [`BEYOND`] inputs further, a second rounding is added to the best trials.
     fn round_otherwise(&mut self, stuck: &Unexplained, deep: usize) -> Result<bool, String> {
         let mut better = self.trials(stuck)?;
         if better.first().is_some_and(|trial| trial.led) {

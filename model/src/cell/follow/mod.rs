@@ -41,7 +41,7 @@ use std::sync::Arc;
 const AHEAD: u64 = 2;
 /// Ticks by which a node may notice late that time has passed. The cell's assumptions allow one tick (D42).
 const LATE: u64 = 1;
-/// Ticks that no rounding of two times can add to the time between them or take from it.
+/// More ticks than this between an early end and the allowed end of an action cannot come from rounding.
 const ROUNDED: u64 = 4;
 
 /// An input of a task, and what the task's script did with it.
@@ -54,7 +54,7 @@ struct Group {
     turns: Vec<Turn>,
 }
 
-/// How a recorded time is rounded, unless it is rounded down to its tick.
+/// How the time of an input is rounded. An input without a rounding counts for the tick in which it happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Rounding {
     /// The input happens one tick later.
@@ -63,7 +63,7 @@ pub(super) enum Rounding {
     Down,
     /// The remaining time of the packet is one tick less.
     Charged,
-    /// A late node counts the time that it missed in the other way than usual: at once for timers, and deadline by
+    /// The reverse of the usual rule for a late node: it counts all missed ticks at once for timers, and deadline by
     /// deadline for communication tasks.
     Otherwise,
     /// The timer or delay whose end the run shows ends first in its tick, before the time_outs of that tick.
@@ -113,7 +113,7 @@ pub(super) struct Follower {
 
 /// Why the model cannot take an input now.
 enum No {
-    /// The packet of this input is not in flight in the model yet: another task may have to go on first.
+    /// The model has not sent the packet of this input yet: another task may have to step first.
     NotYet(String),
     Never(String),
     /// The model cannot follow the input, however times are rounded.
@@ -131,7 +131,7 @@ pub(super) enum Stop {
     Stuck(Unexplained),
 }
 
-/// The inputs of a task, each with what the task's script did with it; without those that are only passing time.
+/// The inputs of a task, each with what the task's script did with it. Inputs that only let time pass are left out.
 fn groups(run_state: &RunState, run: &Run, task: usize) -> Vec<Group> {
     let mut groups: Vec<Group> = Vec::new();
     let here = run_state.cell.node_state_of(task);

@@ -43,8 +43,8 @@ impl Follower {
         }
     }
 
-    /// Takes a packet of a command back that never left its node in the run. In the model every packet leaves at once. The
-    /// node reports this before it ends the command, so no time passes here.
+    /// Removes a command's packet that never left its node in the run. In the model every packet leaves at once. The
+    /// node of the run reports such a packet before it ends the command, so no time passes here.
     pub(super) fn unsent(&mut self, task: usize, node: usize, id: MessageId) -> Result<(), No> {
         let cell_state = &mut self.run_state.cell;
         let is_it = |carried: &InFlight| {
@@ -52,7 +52,7 @@ impl Follower {
             let packet = &carried.packet;
             from.index() == node && packet.source.index() == task && packet.id == id
         };
-        // A copy that had no time left did not leave in the model either, and the sender's node of the model knows that
+        // The model, too, never sends a copy that has no time left. Then the sender's node in the model knows this
         // already.
         let Some(at) = cell_state.in_flight.iter().position(is_it) else { return Ok(()) };
         cell_state.in_flight.remove(at);

@@ -14,7 +14,7 @@ use std::time::Instant;
 /// The number of moves of one random walk through the model.
 const LENGTH: usize = 6_000;
 
-/// A kind of script step, without contents: where the script waited, what came, which statements it began.
+/// A kind of script step, without contents: where the script waited, which input it got, which statements it began.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Kind {
     task: usize,

@@ -80,7 +80,7 @@ impl Follower {
         }
     }
 
-    /// Whether a node acted late within the last `inputs`, or is about to act late.
+    /// Whether a node acted more than a tick late within the last `inputs` inputs, or will with its next input.
     pub(super) fn was_late(&self, inputs: usize) -> bool {
         let since = self.done.iter().rev().take(inputs).next_back();
         let since = since.map_or(0, |&(task, group)| self.groups[task][group].at);
@@ -93,8 +93,8 @@ impl Follower {
         self.out.late.iter().any(|late| late.at >= since) || coming.max() > Some(LATE)
     }
 
-    /// Whether a time_out, timer or delay of a task ended within a tick of another input, shortly before or right after the
-    /// task's next input. The model puts time_outs first in their tick.
+    /// Whether two inputs of a task are less than a tick apart, and one of them is the end of a time_out, timer or
+    /// delay. The model may order such inputs otherwise than the run, because it puts time_outs first in their tick.
     pub(super) fn is_tied(&self, task: usize) -> bool {
         let next = self.next[task];
         let near = &self.groups[task];
@@ -140,7 +140,7 @@ impl Follower {
             let due = match due {
                 Some(due) => due,
                 None => {
-                    // A late node gives its communication tasks all the time at once, but ends timers one by one.
+                    // A late node counts all missed time at once for communication tasks, but ends timers one by one.
                     let at_once = timer.is_some() == (rounding == Some(Rounding::Otherwise));
                     let ticks = if at_once { expiry.max(all) } else { expiry };
                     if timer.is_none() && self.rest(node).is_some_and(|rest| rest <= ticks) {

@@ -10,7 +10,7 @@ use crate::cell_state::script::Running;
 use imrs_protocol::Ticks;
 
 impl RunState {
-    /// Called when an event has happened: actions and packets that were postponed until an event may end or arrive now.
+    /// Called when an event has happened: postponed actions may end now, and postponed packets may arrive now.
     pub fn stir(&mut self) {
         self.beside.stays.clear();
         self.beside.slow = 0;

@@ -12,8 +12,8 @@ use imrs_protocol::{Decode, Encode, Frame, Ticks, Walk};
 /// in this tick.
 const TICK_VALUES: u8 = 0xff;
 
-/// The remaining faults, one byte for each budget, pause and cut. If every byte is at least as great as in another state, a
-/// superset of its moves is allowed.
+/// The remaining faults, one byte for each budget, pause and cut. If every byte is at least as great as in another
+/// state, the state allows every move of that other state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::cell) struct Left([u8; 8]);
 
@@ -34,8 +34,8 @@ fn left_len(faults: &CellFaults) -> usize {
     let counted = [faults.loss, faults.dup, faults.reorder, faults.fail, faults.drift];
     let counted = counted.iter().filter(|had| **had > 0).count() + faults.pause.len();
     let len = counted + faults.cut.len();
-    // An open cut forbids copies and overtaking, a cut that is over allows them: then states of cuts cannot be compared.
-    // More than 8 bytes do not fit into [`Left`].
+    // If packets may be copied or overtake each other, cuts are not counted here. An open cut forbids copies and
+    // overtaking, a cut that is over allows them, so neither state covers the other. At most 8 bytes fit into [`Left`].
     if faults.dup > 0 || faults.reorder > 0 || len > 8 { counted.min(8) } else { len }
 }
 
@@ -111,7 +111,7 @@ impl RunState {
         Ok(())
     }
 
-    /// Loads the state that was packed last: what packing did not keep is gone then.
+    /// Loads the state that was packed last, so that everything that packing omits is lost.
     pub fn load_packed(&mut self) {
         let packed = std::mem::take(&mut self.packed);
         self.load(&packed);
@@ -236,28 +236,29 @@ impl Beside {
     }
 }
 
-/// Walks a task and one of its activations.
+/// Encodes, decodes or visits (as the pass `w` does) a task and one of its activations.
 fn walk_thread<W: Walk>((task, level): &mut (u8, u8), w: &mut W) {
     w.byte(task);
     w.byte(level);
 }
 
-/// Walks an optional number of ticks. In packed form `None` is 0, and `n` is `n + 1`.
+/// Encodes, decodes or visits an optional number of ticks. In packed form `None` is 0, and `n` is `n + 1`.
 fn or_none<W: Walk>(ticks: &mut Option<u32>, w: &mut W) {
     let mut read = ticks.map_or(0, |ticks| ticks + 1);
     w.number(&mut read);
     *ticks = read.checked_sub(1);
 }
 
-/// Walks an optional time, in the form that `or_none` uses.
+/// Encodes, decodes or visits an optional time, in the form that `or_none` uses.
 fn walk_left<W: Walk>(left: &mut Option<Ticks>, w: &mut W) {
-    // A pass that reads ignores the former value, because that may be a symbol of another run.
+    // A pass that reads ignores the former value, because it may be a symbolic time of another run.
     let mut read = left.filter(|_| !W::READS).map_or(Ticks::ZERO, |left| left + Ticks(1));
     w.left(&mut read, true);
     *left = (!read.is_zero()).then(|| read - Ticks(1));
 }
 
-/// Walks a pause: the ticks that it may still last, the ticks that it has lasted, and the actions that it holds back.
+/// Encodes, decodes or visits a pause: the ticks that it may still last, the ticks that it has lasted, and the actions
+/// that it holds back.
 fn walk_pause<W: Walk>(asleep: &mut Option<Asleep>, slept: &mut Option<u32>, w: &mut W) {
     let mut left = asleep.as_ref().map(|asleep| asleep.left);
     or_none(&mut left, w);
@@ -271,7 +272,8 @@ fn walk_pause<W: Walk>(asleep: &mut Option<Asleep>, slept: &mut Option<u32>, w: 
 }
 
 impl TickValues {
-    /// Walks what the nodes showed earlier in this tick: how many groups of values, then the values.
+    /// Encodes, decodes or visits what the nodes showed earlier in this tick: the number of groups of values, then the
+    /// values.
     fn walk<W: Walk>(&mut self, w: &mut W) {
         let widths: Vec<usize> = self.widths().collect();
         for (earlier, width) in self.earlier.iter_mut().zip(widths) {

@@ -96,8 +96,8 @@ impl RunState {
                     comes = true;
                 }
                 None if up && self.may_come_early(carried) => {
-                    // An open cut may end with an early packet, too. Otherwise a state with an open cut would not cover a
-                    // state whose cut is over.
+                    // An open cut may end with an early packet, too. Otherwise a state with an open cut would allow
+                    // fewer moves than a state whose cut is over.
                     let open = self.cut_of(carried.link, OPEN);
                     let comes = open.map_or(CellMove::Deliver(small(i)), |cut| CellMove::Mend(small(i), cut));
                     moves.extend([comes, CellMove::Stay(carried.link)]);
@@ -263,7 +263,7 @@ impl RunState {
         let awake = || up().filter(|&i| !self.is_asleep(i));
         let nodes = awake().flat_map(|i| cell_state.nodes[i].node.times_left());
         let paused = up().filter(|&i| self.is_asleep(i)).flat_map(|i| self.events_asleep(i)).map(Ticks);
-        // A check fails when the last tick of its bound is over, which is one tick later.
+        // A `leads` check fails only after the last tick of its bound, which is one tick later.
         let due = self.beside.due.iter().flatten().map(|&left| left + Ticks(1));
         let held_back = awake().filter_map(|i| self.next_begin(i));
         nodes.chain(paused).chain(due).chain(held_back)

@@ -134,7 +134,7 @@ impl RunState {
         }
     }
 
-    /// Begins a pause of a node that holds back these actions.
+    /// Begins a pause of a node that holds back the actions `held`.
     pub fn fall_asleep(&mut self, number: u8, node: usize, held: Vec<(u8, u8)>) {
         let number = usize::from(number);
         self.beside.paused[number] = 0;
@@ -175,12 +175,12 @@ impl RunState {
 
     /// Passes `ticks` on a node's clock, and for the scripts that it holds back.
     pub fn notice(&mut self, node: usize, ticks: Ticks) -> Result<(), Violation> {
-        // Of symbolic times, the least one is not computed: that would ask which one it is.
+        // Each time is compared by itself: symbolic times have no values, so none of them is known to be the least.
         if self.cell.nodes[node].node.times_left().any(|due| due <= ticks) {
             self.beside.acted |= bit(node);
         }
-        // If no time passes, nothing changes. With symbolic times the condition is not evaluated, so that no zone is asked
-        // whether the symbol is zero.
+        // If no time passes, nothing changes. The condition is not evaluated for symbolic times, so that the search
+        // need not decide whether a time without a value is zero.
         if self.cell.is_symbolic || !ticks.is_zero() {
             self.cell.pass(node, ticks)?;
         }

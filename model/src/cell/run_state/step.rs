@@ -25,7 +25,7 @@ pub enum CellMove {
     Acted(u8, u8, bool, u8),
     /// An action does not end yet: task and activation.
     GoOn(u8, u8),
-    /// An action takes this many ticks more: task, activation, ticks. Stands for as many [`GoOn`](Self::GoOn) with
+    /// An action takes this many ticks more: task, activation, ticks. Equals as many moves [`GoOn`](Self::GoOn) with
     /// [`Times::Every`](crate::cell::Times::Every).
     Takes(u8, u8, u32),
     /// The next packet of this link does not arrive yet.

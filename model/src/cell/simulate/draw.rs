@@ -9,7 +9,7 @@ use imrs_protocol::{NodeId, TaskId};
 
 /// One run in this many has no faults, although the cell declares some.
 const PLAIN: u8 = 8;
-/// The number of powers of two from which a duration is drawn, if the plain run does not bound it.
+/// The number of powers of two from which a duration is drawn, if the run without faults does not bound the duration.
 const MAGNITUDES: u32 = 16;
 
 /// What the plain run contains: the run that has no faults, and in which every choice is 0.
@@ -65,7 +65,7 @@ impl Census {
         let line = |rng: &mut fastrand::Rng| self.lines.get(rng.usize(..self.lines.len().max(1))).copied();
         let mut lost: Option<((NodeId, NodeId), u32)> = None;
         kind(1, within.loss.into(), &mut |rng, _| {
-            // The copies that are sent again after a loss are often lost, too.
+            // Half of the further losses hit the packet after the last lost one: it is often the retransmission.
             let again = lost.filter(|_| rng.bool());
             let (link, nth) = match again {
                 Some((link, nth)) => (link, nth.saturating_add(1)),
@@ -99,7 +99,7 @@ impl Census {
         });
         let mut slow: Option<(NodeId, u64, bool)> = None;
         kind(7, within.drift.into(), &mut |rng, _| {
-            // A clock that is wrong often stays wrong, and the drift matters most around another fault.
+            // Three of four further drifts repeat the last drift. Half of the others happen at the first crash or cut.
             let (node, at, more) = slow.filter(|_| rng.u8(..4) > 0).unwrap_or_else(|| {
                 let at = instants.first().copied().filter(|_| rng.bool());
                 let at = at.unwrap_or_else(|| instant(rng, self.ticks));

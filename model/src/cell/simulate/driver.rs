@@ -206,8 +206,8 @@ impl<'a> Driver<'a> {
         }
     }
 
-    /// Whether a move may come while inputs wait in a node: an action whose end was chosen for now, or a packet that has no
-    /// fault or has another packet behind it. The choosers decide about all others when no input waits.
+    /// Whether a move may be made while inputs wait in a node: an action ends at its chosen instant, or a packet
+    /// arrives that has no fault or has another packet behind it.
     fn comes_now(&self, run_state: &RunState, who: Who) -> bool {
         match who {
             Who::Input(_) => true,
@@ -273,7 +273,7 @@ impl<'a> Driver<'a> {
             return Some(CellMove::GoOn(task, level));
         }
         self.actions.retain(|chosen| (chosen.task, chosen.level) != (task, level));
-        // The action may end now, or after whole steps of the model tick, counted back from the action's most time.
+        // The action ends now, or a whole number of the plan's steps before its latest end.
         let step = run_state.plan.step.max(1);
         let most = u32::try_from(running.most.0).unwrap_or(u32::MAX);
         let first = most - (most.saturating_sub(1) / step) * step;
@@ -338,7 +338,7 @@ impl<'a> Driver<'a> {
         moves.iter().copied().find(arrives)
     }
 
-    /// The age at which a packet arrives that may arrive before the link's bound.
+    /// The age in ticks at which a packet arrives, if it may arrive before the link's bound.
     fn arrives(&mut self, link: usize, (age, bound): (u32, u32)) -> u32 {
         let nth = self.lines[link].arrived + 1;
         match self.lines[link].chosen {
@@ -495,7 +495,7 @@ impl<'a> Driver<'a> {
     }
 }
 
-/// By choice, an action without an upper bound goes on fewer times than this.
+/// A random run prolongs an action without an upper bound fewer times than this.
 const ENDLESS: u32 = 4;
 /// The random streams below this number are for drawing faults, the streams from it on for choosers.
 pub(super) const FIRST_OF_CHOOSERS: u64 = 64;

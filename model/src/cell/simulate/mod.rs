@@ -244,7 +244,7 @@ impl Simulator {
                 && let Some(place) = done.get(at)
             {
                 let Some(ran) = self.seed(first.wrapping_add(at as u64), faults) else { break };
-                // Only one thread takes this place in the list.
+                // No other thread runs this seed, so the entry for its result is empty.
                 let _ = place.set(ran);
             }
         };

@@ -70,7 +70,7 @@ impl Shrinker<'_> {
         Some(shows)
     }
 
-    /// Lowers the numbers in the faults.
+    /// Lowers the numbers of the schedule's faults, such as instants and durations.
     fn simplify(&mut self) {
         for at in 0..self.best.faults.len() {
             if let Fault::Stop { node, at: instant, restart: Some(_) } = self.best.faults[at] {

@@ -33,7 +33,7 @@ pub(super) struct Waiting {
     pub arrival: u64,
     pub rejections: u8,
     pub first_rejected: u64,
-    /// Whether the message or a copy of it came in this step: either of them may set a later expiry.
+    /// Whether the message or a copy of it arrived in this step: either of them may set a later expiry.
     pub prolonged: bool,
 }
 
@@ -57,8 +57,8 @@ impl Buffer {
         self.waiting.iter().position(|one| (one.source, one.number) == (source, number))
     }
 
-    /// Called when a message of this incarnation of a source has come. What was remembered of an earlier incarnation then
-    /// no longer counts.
+    /// Called when a message of this incarnation of a source has arrived. Entries of an earlier incarnation then no
+    /// longer count.
     pub fn enter(&mut self, source: TaskId, incarnation: Incarnation) {
         match self.incarnations.iter_mut().find(|(task, _)| *task == source) {
             None => self.incarnations.push((source, incarnation)),

@@ -86,7 +86,8 @@ impl Looked {
 #[must_use]
 pub fn findings(store: &Store, cell: &Name, now: Moment) -> Vec<Finding> {
     let mut found = Vec::new();
-    // If nodes differ in their text, their links drop datagrams: the cause comes before what follows from it.
+    // Nodes with different cell texts also drop each other's datagrams, so the difference is listed before its
+    // consequences.
     node::unlike(store, cell, now, &mut found);
     for incarnation in store.present(cell) {
         node::look(store, incarnation, now, &mut found);

@@ -143,8 +143,8 @@ pub(super) fn unlike(store: &Store, cell: &Name, now: Moment, found: &mut Vec<Fi
     }
 }
 
-/// The nodes that are not in the majority: some other value is at least as frequent as theirs. Each comes with its own value
-/// and the most frequent other one.
+/// The nodes with a value that is not in the majority: some other value is at least as frequent. Each node comes with
+/// its own value and the most frequent other value.
 fn minorities<'a, T: Ord + Clone>(
     nodes: &[&'a NodeIncarnation],
     of: impl Fn(&NodeIncarnation) -> T,

@@ -33,7 +33,8 @@ pub(super) fn look(
         let there = earlier.and_then(|task| task.view.ports.get(at)).filter(|there| there.port == port.port);
         let earlier = there.or_else(|| port_of(earlier?, port.port));
         if let Some((lint, text)) = earlier.and_then(|e| grown(port.class, &e.counters, &port.counters)) {
-            // The cause of a loss at a receiver is what it does meanwhile, or the sender of too much.
+            // The cause of a loss at a receiver is either what the receiver does instead of receiving, or a sender
+            // that sends too much.
             let text = match lint.code {
                 "refused" | "expired" | "evicted" | "command-evicted" if port.capacity > 0 => {
                     format!("{text}: {}/{} wait, task: {}", port.len, port.capacity, state())

@@ -21,7 +21,8 @@ pub trait Members {
     /// As [`at`](Self::at), for a part of the step that only observes.
     fn hearing(&mut self, place: usize) -> (&mut CommTask, impl FnOnce(Observation));
 
-    /// Whether the step may release the members. Then it leaves out the CONFIRMs that they would take as inputs.
+    /// Whether the step may release the members. If so, it makes no CONFIRM, which each member would take as an input in small
+    /// steps.
     fn may_release(&self) -> bool {
         true
     }
@@ -62,7 +63,8 @@ impl<'a> Gathering<'a> {
         others(port, from).map(|(_, party)| party.local.into())
     }
 
-    /// Takes the step. Returns whether it released the members. `None`, and nothing has changed, if the arrival needs small steps.
+    /// Carries out the arrival. Returns whether it released the members. Returns `None`, and changes nothing, if small steps are
+    /// needed.
     pub fn step(&self, members: &mut impl Members) -> Option<bool> {
         let Self { table, port, from, arguments, patience } = *self;
         let own = usize::from(port.parties[from].local);

@@ -78,8 +78,8 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         }
     }
 
-    /// Handles a signal, unless it plainly answers the operation in which the running activation waits: for such an answer
-    /// it returns true.
+    /// Handles a signal, unless the signal only answers the operation in which the running activation waits. For such an answer
+    /// this function returns true and does nothing.
     fn is_plain_answer(&mut self, signal: &Signal) -> bool {
         let wait = self.frame().wait;
         match (wait, *signal) {
@@ -160,7 +160,8 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         self.give_up();
         self.script.standing = Standing::Ended(end);
         self.out.ended(end);
-        // The heartbeats of a task of a couple stop when it has ended (D61).
+        // A primary or standby that has ended must answer no heartbeat any more, so that its partner takes over
+        // (D61).
         if self.out.communication().is_some_and(|(machine, _)| machine.epoch().is_some()) {
             self.ask(Request::End);
         }
@@ -258,7 +259,7 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         let handler = self.program.handler(trigger);
         if call == Call::Fenced {
             self.cut_short();
-            // The interrupted activation does not go on, so open atomic sections end here.
+            // An activation that a fence interrupts never goes on, so its open atomic sections end here.
             self.script.atomic = 0;
             if handler.is_none() {
                 return self.fenced();

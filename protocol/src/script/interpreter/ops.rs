@@ -193,7 +193,8 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
         Ok(Request::Atomic(self.script.atomic > 0))
     }
 
-    /// Begins a statement, and asks for a boundary if a handler may be waiting for one (D15).
+    /// Begins a statement. If a handler may be due, first asks the communication task whether the handler runs now
+    /// (D15).
     #[inline(always)]
     pub(super) fn statement(&mut self, at: Address) -> Flow {
         self.out.statement(at);

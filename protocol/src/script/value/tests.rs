@@ -86,7 +86,7 @@ fn an_expression_leaves_one_value() {
 
 #[test]
 fn checks_look_at_other_tasks_and_at_predicates() {
-    // never armL.moving and not lift.arrived(armR)
+    // The expression of the check `never armL.moving and not lift.arrived(armR)`.
     let lift = Predicate::Arrived { port: PortId(0), task: TaskId(1) };
     let terms =
         [Term::Of { task: TaskId(0), variable: 3 }, Term::Is(lift), Term::Not, Term::Int(And), Term::Not];

@@ -89,7 +89,7 @@ impl Client {
         }
     }
 
-    /// Drops an answer that no request waits for. The variant with late replies accepts such an answer for the command that
+    /// Drops an answer that no request waits for. The rule variant with late replies accepts such an answer for the command that
     /// timed out last.
     fn late(&mut self, step: &mut Step<'_, impl Outbox>, endpoint: u16, packet: &Packet) -> Option<Ended> {
         let fits = |o: &Overdue| o.id == packet.id && o.port == packet.port && o.to == packet.source;

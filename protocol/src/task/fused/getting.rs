@@ -1,4 +1,4 @@
-//! A GET without the way through [`handle`](CommTask::handle), by itself or right after an answer (D200).
+//! A GET as a fused step, which bypasses [`handle`](CommTask::handle): alone, or right after an answer (D200).
 
 use super::CommTask;
 use crate::ids::{PortId, TaskId};
@@ -19,7 +19,7 @@ pub(crate) struct Get {
 }
 
 impl Get {
-    /// The GET that a request is.
+    /// The GET that a request makes; `None` for any other request.
     #[inline]
     pub fn of(request: &Request) -> Option<Self> {
         if let Request::Get { port, source, time_out } = *request {
@@ -31,8 +31,8 @@ impl Get {
 }
 
 impl CommTask {
-    /// Takes a GET as one fused step, which concerns no other task (D200). False, and nothing has changed, if a handler could
-    /// interrupt the task, or the request is no GET.
+    /// Takes a GET as one fused step of this task alone (D200). Returns false, and changes nothing, if a handler could interrupt
+    /// the task, or the request is no GET.
     #[inline(always)]
     pub fn fuse_get(&mut self, table: &NodeTable, request: &Request, out: &mut impl NodeOutbox) -> bool {
         let Some(get) = Get::of(request).filter(|_| self.may_get()) else { return false };
@@ -40,14 +40,14 @@ impl CommTask {
         true
     }
 
-    /// Whether a GET changes nothing but what [`get`](Self::get) changes: the task waits for nothing, and no handler could interrupt
-    /// its wait.
+    /// Whether [`get`](Self::get) has all effects of a GET: the running activation waits for nothing, and no handler could
+    /// interrupt its wait.
     #[inline(always)]
     pub(crate) fn may_get(&self) -> bool {
         self.machines.interrupts.waits_for_nothing() && self.machines.is_plain()
     }
 
-    /// Takes a GET that [`may_get`](Self::may_get) allows: the most urgent message, or the task waits for one.
+    /// Carries out a GET that [`may_get`](Self::may_get) allows: delivers the most urgent message, or lets the task wait for one.
     #[inline(always)]
     pub(crate) fn get(
         &mut self,

@@ -9,8 +9,8 @@ use crate::task::wait::Pending;
 use crate::ticks::Ticks;
 
 impl CommTask {
-    /// What the other members hear when this task, the member at this position, reaches the `waitfor`. `None` if this
-    /// member's state requires small steps.
+    /// The arrival of which the other members hear when this task, the member at this position, reaches the
+    /// `waitfor`. `None` if this member's state requires small steps.
     pub(crate) fn may_reach(
         &self,
         (port, member): (&Port, usize),

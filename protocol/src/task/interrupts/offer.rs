@@ -15,7 +15,7 @@ pub(crate) struct Offer {
 /// The first part of the key of an offer, which counts before rank and urgency.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Turn {
-    /// A change of the task's lease interrupts it: it has lost the lease, or takes over (D61).
+    /// The task has lost its lease, or takes over from its partner (D61).
     Lease,
     /// A capped message: ranks stand above it, and it was rejected once for each of them. Of several capped messages, the
     /// one that was rejected first goes first (D58).

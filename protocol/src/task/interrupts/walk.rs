@@ -16,7 +16,8 @@ const TIMERS: u8 = 0x20;
 const ATOMIC: u8 = 0x40;
 const CAPPED: u8 = 0x80;
 
-/// Codes of waits. Lower codes are fixed. From each of these codes on, codes count requests or meetings.
+/// The codes of the first request and of the first meeting: the code of a wait is one of these numbers plus the
+/// position of the request or meeting. All lower codes are fixed.
 const REQUESTS: u8 = 0x10;
 const MEETINGS: u8 = 0x80;
 

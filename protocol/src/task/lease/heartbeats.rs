@@ -68,7 +68,7 @@ impl Lease {
                 // All recorded answers announce this epoch, so a later echo of any of them renews the lease, too.
                 Post::Waits => {
                     self.stand(Post::Leased(until));
-                    // Under the heartbeat variant no answer has proposed the epoch yet.
+                    // Under the rule variant `Heartbeat` no answer has proposed the epoch yet.
                     self.propose();
                     (self.proposed, self.guessed) = (false, false);
                 }

@@ -10,7 +10,7 @@ use crate::task::step::{Outbox, Step};
 use crate::task::wait::Ended;
 use crate::ticks::{Instant, Ticks};
 
-/// What the other members hear once a task reaches the waitfor.
+/// A task's arrival at the rendezvous, as the other members hear of it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Arrival {
     /// The arriving task, and its position among the members.
@@ -32,8 +32,8 @@ impl Arrival {
 }
 
 impl Rendezvous {
-    /// What the other members hear when this task, which does not wait anywhere, reaches the waitfor. `None` if the arrival
-    /// requires small steps.
+    /// The arrival of which the other members hear when this task, which waits for nothing, reaches the rendezvous.
+    /// `None` if the arrival requires small steps.
     pub fn may_reach(
         &self,
         own: &Own,
@@ -62,7 +62,8 @@ impl Rendezvous {
         }
         let also_lacks =
             |&missing: &usize| missing != member && !self.members[missing].is_here(round, own.now);
-        // Nearly always the member that the arriving task lacks is missing here, too. Then the others are not looked at.
+        // Usually the member that is missing for the arriving task is missing here, too. Then no other member is looked
+        // at.
         is_new
             && round == self.announced
             && (arrival.missing.as_ref().is_some_and(also_lacks)

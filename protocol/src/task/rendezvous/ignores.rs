@@ -7,12 +7,12 @@ use crate::table::{NodeTable, Port};
 use crate::ticks::Instant;
 
 impl Rendezvous {
-    /// The incarnation in which a member was when this task last heard from it.
+    /// The incarnation of a member from which this task last heard.
     pub fn heard_in(&self, port: &Port, member: TaskId) -> Option<Incarnation> {
         self.members[port.party_index(member)?].incarnation
     }
 
-    /// The round whose CONFIRM this task has yet to send, or to send again.
+    /// The round for which this task has yet to send CONFIRM, or to send it again.
     pub fn owes(&self) -> Option<Round> {
         self.released.filter(|_| self.owes_confirm || self.copies_left > 0)
     }

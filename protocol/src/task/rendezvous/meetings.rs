@@ -62,7 +62,7 @@ impl Meetings {
         (done, released.map(|finished| left(meeting, finished)))
     }
 
-    /// Lets the task reach a waitfor. If the task is released at once, returns how its wait ended.
+    /// Lets the task reach a rendezvous. If the task is released at once, returns how its wait ended.
     pub fn reach(
         &mut self,
         step: &mut Step<'_, impl Outbox>,

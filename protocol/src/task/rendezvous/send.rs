@@ -45,7 +45,7 @@ impl Rendezvous {
         // from the deadline (D55).
         let period = at.port.decl.resend;
         self.resend_at = match self.resend_at + period {
-            // This is what `resend_instant` computes, too. With symbolic times its quotient asks the zone much more.
+            // `resend_instant` gives the same instant, but with symbolic times its division needs many comparisons.
             next if self.resend_at == now && next < deadline => next,
             _ if self.resend_at == now => Instant::NEVER,
             _ => Self::resend_instant(deadline, now, period),

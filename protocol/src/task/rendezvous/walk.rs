@@ -141,7 +141,7 @@ impl Rendezvous {
 }
 
 impl Meetings {
-    /// Drops dead state in all rendezvous.
+    /// Drops dead state in all rendezvous: state that can affect no later behaviour.
     pub fn bury(&mut self, now: Instant) {
         for rendezvous in &mut self.list {
             rendezvous.bury(now);

@@ -109,10 +109,10 @@ impl Server {
         step.out.transmit(mapping::control(to, step.own.task, Control::Refused, ttl));
     }
 
-    /// Whether this is the incarnation in which the source was when this task last heard from it.
+    /// Whether this is the incarnation of the source from which this task last heard.
     #[inline]
     pub(super) fn knows(&self, source: TaskId, incarnation: Incarnation) -> bool {
-        // Many tasks hear of one other task alone.
+        // Fast path: many tasks receive from only one other task.
         if let [only] = &*self.incarnations {
             return only.task == source && only.incarnation == Some(incarnation);
         }

@@ -26,7 +26,7 @@ impl Server {
     ) -> Option<(Origin, Held)> {
         let (at, slot) = self.most_urgent(step.own, inbox, source)?;
         if inbox.is_none() && source.is_none() && step.table.rules().aging != Aging::Off {
-            // This GET bypasses all other ports without a handler.
+            // This counts the GET as a bypass of every other port without a handler.
             self.served += 1;
         }
         self.take(step.own, at, slot)
@@ -154,8 +154,8 @@ impl Server {
         !inbox.latest && known.is_next(id, now) && self.knows(known.task, id.incarnation)
     }
 
-    /// [`hear`](Self::hear) and [`deliver`](Self::deliver) in a fused step, for a message for which
-    /// [`takes_fused`](Self::takes_fused) is true.
+    /// [`hear`](Self::hear) and [`deliver`](Self::deliver) in a fused step (one step for sender and receiver), for a message for
+    /// which [`takes_fused`](Self::takes_fused) is true.
     #[inline(always)]
     pub fn take_fused(
         &mut self,
@@ -271,7 +271,7 @@ impl Inbox {
     }
 }
 
-/// Sends an answer with its staged fragments.
+/// Sends an answer with the fragments that the task has handed over for it.
 pub(crate) fn send_answer(
     step: &mut Step<'_, impl Outbox>,
     (port, place): (&Port, usize),

@@ -38,7 +38,7 @@ impl Held {
     }
 }
 
-/// The retry state of a waiting message, on a port with a handler.
+/// The rejections and the penalty of a waiting message, on a port with a handler.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct RetryState {
     /// The number of rejections by rank, up to the cap, and the number of the group of rejections with the first one (D58).
@@ -244,7 +244,7 @@ impl Inbox {
         u16::try_from(times).unwrap_or(u16::MAX)
     }
 
-    /// Restarts the count of bypasses, because the port became non-empty or was served.
+    /// Restarts the count of GETs that served other ports, because this port became non-empty or was served.
     pub fn begin(&mut self, served: u64) {
         self.since = if self.handled { 0 } else { served };
     }

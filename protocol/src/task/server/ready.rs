@@ -15,12 +15,12 @@ use crate::task::own::{Own, index};
 use crate::ticks::Instant;
 use serde::{Deserialize, Serialize};
 
-/// The heaps of the ready set.
+/// The ready set: heaps over the ports, each in another order.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct ReadySet {
     /// Non-empty ports without a handler, by the urgency of their first message.
     urgent: Heap,
-    /// Non-empty ports without a handler, by how long they have been bypassed (D58).
+    /// Non-empty ports without a handler, by how long GETs have served other ports instead (D58).
     eldest: Heap,
     /// Non-empty ports with a handler, by the instant of their next offer. Allocated with the task's first handler.
     offers: Heap,
@@ -38,7 +38,8 @@ fn urgency(inboxes: &[Inbox], order: &ServiceOrder, at: u16) -> (Instant, Class,
     })
 }
 
-/// The key that orders ports by bypasses. Ties are broken by class and then by the lower port, not by urgency.
+/// The key that orders ports by how often GETs have served other ports instead. Ties are broken by class and then by
+/// the lower port, not by urgency.
 fn age(inboxes: &[Inbox], at: u16) -> (u64, Class, PortId) {
     let inbox = &inboxes[usize::from(at)];
     let class = inbox.queue.first().map_or(Class::Status, |(_, held)| held.class);

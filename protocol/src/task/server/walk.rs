@@ -279,7 +279,7 @@ impl Held {
     }
 }
 
-/// Visits a number in whose place its rank among such numbers is packed.
+/// Visits a number that the packed state replaces by its rank among the numbers of its kind.
 fn rank<W: Walk>(number: &mut u64, w: &mut W) {
     if W::PACKS {
         *number = w.count(usize::try_from(*number).unwrap_or(usize::MAX)) as u64;

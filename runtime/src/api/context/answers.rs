@@ -14,7 +14,7 @@ impl Caller {
         if decl.is_some_and(|port| port.decl.class != class) { Err(wrong_usage()) } else { Ok(()) }
     }
 
-    /// The only task that `to` stands for; an error if it stands for no task or for several.
+    /// The one task that `to` selects; an error if `to` selects no task or several.
     pub(super) fn peer(&self, port: PortId, to: Target) -> Result<TaskId, TaskError> {
         let port = self.node.table.port(port).ok_or_else(|| fault(Fault::NotYourPort))?;
         let meant = |task: &TaskId| match to {
@@ -62,13 +62,13 @@ impl Caller {
         Ok(())
     }
 
-    /// A message with all its fragments.
+    /// Decodes a message from all its fragments.
     pub(super) fn decoded<M: Message>(&mut self, delivery: &Delivery) -> Result<Received<M>, TaskError> {
         let message = decoded(&self.whole(delivery)?)?;
         Ok(Received { message, from: delivery.from, budget: delivery.budget })
     }
 
-    /// The outcome, with the whole answer.
+    /// Converts the outcome, and decodes the answer from all its fragments.
     pub(super) fn asked<R: Message>(
         &mut self,
         port: PortId,

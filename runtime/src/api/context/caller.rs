@@ -38,7 +38,7 @@ pub(crate) struct Caller {
     pub depth: u8,
     /// Whether the current thread is in an `atomic` section.
     pub atomic: bool,
-    /// What the callers of the node's futures share; `None` if the task is no future.
+    /// The answers that the node's futures share; `None` if the task is not a future.
     answers: Option<Rc<RefCell<Answers>>>,
     /// The waker that is called when there is an answer for the future.
     waker: Option<Waker>,
@@ -78,8 +78,8 @@ impl Caller {
         caller
     }
 
-    /// As [`call`](Self::call), without waiting: returns what there is for the task now. If that is an answer to an earlier
-    /// request, the new ones are not made. The second request is made once the first one is accepted.
+    /// As [`call`](Self::call), without waiting: returns the answer that the task has now. If that answers an earlier
+    /// request, the new requests are not made. The second request is made once the first one is accepted.
     pub fn call_now(
         &mut self,
         [request, then]: [Option<&Request>; 2],
@@ -100,7 +100,7 @@ impl Caller {
         match answer {
             Some(Completion { signal: Signal::Fault(fault), .. }) => Err(super::RequestFault(fault).into()),
             Some(Completion { signal, at: since }) => {
-                // Only the age of a message matters.
+                // Only the age of messages and interrupts is used, so for other signals the clock is not read.
                 let ages = matches!(signal, Signal::Message(_) | Signal::Interrupt(_));
                 let now = now.unwrap_or_else(|| if ages { clock::now() } else { since });
                 Ok(Some((signal, Ticks(now.saturating_sub(since)))))
@@ -113,13 +113,12 @@ impl Caller {
         }
     }
 
-    /// The answer that the thread of the futures itself brought for this future, so that the lock need not be
-    /// taken.
+    /// Takes an answer that the thread of the futures itself caused for this future. This needs no lock.
     fn brought(&self) -> Option<Completion> {
         self.answers.as_ref()?.borrow_mut().take(self.member)
     }
 
-    /// The future asks, and takes its answer if there is one.
+    /// Makes the future's requests under the lock, and takes the answer if there is one.
     fn enter(&mut self, asked: Asked<'_>) -> Option<Completion> {
         let answers = self.answers.as_ref()?;
         let ask = |domain: &mut Domain, member: usize, effects: &mut Effects| {
@@ -129,8 +128,8 @@ impl Caller {
         self.brought()
     }
 
-    /// Whether `waker` was already registered to be called for an answer when the future last entered its communication
-    /// task. If it was not, this registers it, and the future must enter again before it waits.
+    /// Whether `waker` was registered already when the future last entered its communication task. If not, registers
+    /// it, and the future must enter again before it waits: an answer may have come in between.
     pub fn listens(&mut self, waker: &Waker) -> bool {
         if self.waker.as_ref().is_some_and(|own| own.will_wake(waker)) {
             return true;
@@ -158,8 +157,9 @@ impl Caller {
         position.map(TaskId::from_index).ok_or_else(|| TaskError::NoTask(name.into()))
     }
 
-    /// Makes a request and waits for its answer: spinning, in the link or asleep, until another thread brings the answer, or
-    /// until the machine's next expiry or the instant `over`. Also returns the answer's age. Each answer is passed to `more`.
+    /// Makes a request and waits for its answer: it spins, or waits in the link's socket, or sleeps. The wait ends
+    /// when another thread brings the answer, at the state machine's next expiry, or at `over`. Returns the answer
+    /// and its age. Passes each answer to `more`.
     pub fn call(
         &mut self,
         asked: Micros,
@@ -214,12 +214,12 @@ impl Caller {
         before
     }
 
-    /// Waits until there is an answer for the task, or until `until`. The thread waits in the link if it can lead and
-    /// its answer is likely to come from there, else asleep. `now` may be some time ago. `waited` says that the task
-    /// has waited for the same answer before.
+    /// Waits for an answer, but at most until `until`. If this thread can lead, and the answer is likely to come from
+    /// the link, it waits in the link's socket; otherwise it sleeps. `now` may be a little old. `waited` says that
+    /// the task has waited for the same answer before.
     fn wait(&mut self, kind: Option<Kind>, now: Micros, until: Micros, waited: bool) {
         if self.effects.holds {
-            // Packets that were sent must not be held while the task waits.
+            // Sent packets must leave before the task waits, although `together` holds them.
             self.hold(false);
             self.effects.holds = true;
         }
@@ -234,7 +234,8 @@ impl Caller {
         let handoff = &*local.handoff;
         let is_there = || handoff.is_called() || handoff.has_left();
         if leading.is_some() && is_there() {
-            // The link may have set `by_link` before the wait began.
+            // There is an answer already, so no wait takes place. `by_link`, which the line above has cleared, is set
+            // again.
             return local.by_link.store(true, Ordering::Relaxed);
         }
         let inlet = leading.map(|_| &*self.inlet.get_or_insert_with(|| Inlet::new(Arc::clone(node))));
@@ -274,14 +275,14 @@ impl Caller {
         }
     }
 
-    /// A handler failed: from now on every call fails.
+    /// Makes every later call of the program fail, because a handler failed.
     pub fn fail(&mut self, error: TaskError) {
         self.give_up();
         self.failed.get_or_insert(error);
     }
 
-    /// Cancels all outstanding requests: those of handlers, and those of the activations that the handlers interrupted.
-    /// Other members of a `waitfor` get an ABORT.
+    /// Cancels all outstanding requests: those of handlers, and those of the activations that these handlers
+    /// interrupted. The other members of a `waitfor` get an ABORT.
     pub fn give_up(&mut self) {
         self.tell(Request::Abandon);
     }
@@ -363,7 +364,7 @@ impl Caller {
     }
 }
 
-/// Packets that a program has sent leave, even if the program ended inside of a
+/// Lets the packets that a program has sent leave, even if the program ended inside of a
 /// [`Context::together`](super::Context::together).
 impl Drop for Caller {
     fn drop(&mut self) {

@@ -22,8 +22,8 @@ const PACKET: usize = CONTENTS_BYTES;
 pub(super) fn at_once<T>(call: impl Future<Output = Result<T, TaskError>>) -> Result<T, TaskError> {
     match pin!(call).poll(&mut Poller::from_waker(Waker::noop())) {
         Poll::Ready(result) => result,
-        // Only a fault in this library leads here: the communication task did not answer at once a request of a call
-        // that must not wait.
+        // This happens only by a fault in this library: a call that must not wait made a request that was not
+        // answered at once.
         Poll::Pending => Err(wrong_usage()),
     }
 }
@@ -33,8 +33,8 @@ pub(super) fn at_once<T>(call: impl Future<Output = Result<T, TaskError>>) -> Re
 pub(super) trait Calls {
     fn caller(&mut self) -> &mut Caller;
 
-    /// Makes a request and waits for its answer; handlers run meanwhile. Also returns the age of the answer. With a `reply`, that is
-    /// made first, and the request only if it is accepted.
+    /// Makes a request and waits for its answer. Handlers run during the wait. Returns the answer and its age. A
+    /// `reply` is sent first, and the request is made only if the communication task accepts the reply.
     fn ask_after(
         &mut self,
         reply: Option<Request>,
@@ -46,12 +46,12 @@ pub(super) trait Calls {
         self.ask_after(None, request)
     }
 
-    /// Whether a message that came for a call whose future was dropped may be kept for a later call.
+    /// Whether a received message may be kept for a later call, if its own call's future was dropped.
     fn keeps(&self) -> bool {
         false
     }
 
-    /// A message that the task was given for an earlier call whose future was dropped.
+    /// A kept message: the task received it for an earlier call, whose future was then dropped.
     fn kept(&mut self, port: Option<PortId>, source: Option<TaskId>) -> Option<Delivery> {
         let _ = (port, source);
         None
@@ -140,13 +140,13 @@ pub(super) trait Calls {
         if self.keeps()
             && let Some(reply) = reply.take()
         {
-            // The next message may be here already.
+            // A kept message may already be the next one, so the reply must not wait for another message.
             self.accepted(reply).await?;
         }
         self.received_after(reply, (port, None), time_out).await
     }
 
-    /// Receives after a REPLY, if there is one.
+    /// Waits for a message. Before that it sends `reply`, if there is one.
     async fn received_after(
         &mut self,
         mut reply: Option<Request>,
@@ -193,8 +193,8 @@ pub(super) trait Calls {
     }
 
     async fn delayed(&mut self, length: Duration) -> Result<(), TaskError> {
-        // A handler may delay while the interrupted thread delays, too. So the delay at each depth of nesting has
-        // an id of its own, above the ids of timers.
+        // A handler may delay while the thread that it interrupted delays, too. So each depth of nesting has an id of
+        // its own for its delay, above the ids of timers.
         let request = Request::Delay { id: TimeId(u8::MAX - self.caller().depth), length: ticks(length) };
         match self.ask(request).await?.0 {
             Signal::TimeOut(_) => Ok(()),
@@ -293,7 +293,7 @@ pub(super) fn ticks(length: Duration) -> Ticks {
     Ticks(clock::micros(length))
 }
 
-/// Only a fault in the state machine leads here.
+/// Ends the program. This happens only by a fault in the state machine.
 #[cold]
 pub(super) fn mismatch(request: &Request, signal: &Signal) -> ! {
     panic!("the communication task answered {request:?} with {signal:?}")

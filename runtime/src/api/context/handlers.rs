@@ -12,8 +12,8 @@ type OnMessage<S> = Rc<dyn Fn(&mut Context<S>, Delivery) -> Result<(), TaskError
 type OnTimer<S> = Rc<dyn Fn(&mut Context<S>) -> Result<(), TaskError>>;
 type OnTakeover<S> = Rc<dyn Fn(&mut Context<S>, u8) -> Result<(), TaskError>>;
 
-/// The handlers of a task. They are shared while they run: a message that outranks a running handler may call the same
-/// handler again.
+/// The handlers of a task. Each is reference-counted while it runs, because a message that outranks a running handler
+/// may call the same handler again.
 pub(super) struct Handlers<S> {
     messages: Vec<(PortId, OnMessage<S>)>,
     timers: Vec<(TimeId, OnTimer<S>)>,
@@ -29,11 +29,11 @@ impl<S> Default for Handlers<S> {
 
 /// # Handlers
 ///
-/// A handler runs on the task's own thread, inside a call that waits, or in [`boundary`](Context::boundary): a Rust program
-/// cannot be interrupted in between. Its communication task decides by [`order`](Context::order) whether a message or the end of
-/// a timer interrupts. Without an order, `self` ranks first: a handler runs only while the task waits in a
-/// [`receive`](Context::receive), or after its message was rejected as often as the rules allow. The interrupted wait then goes
-/// on with its remaining time.
+/// A handler runs on the task's own thread, inside a call that waits, or in [`boundary`](Context::boundary): a Rust
+/// program cannot be interrupted between two calls. The communication task decides by [`order`](Context::order)
+/// whether a message or the end of a timer interrupts. Without an order, `self` ranks first: a handler then runs only
+/// while the task waits in a [`receive`](Context::receive), or after its message was rejected as often as the rules
+/// allow. Afterwards the interrupted wait goes on with its remaining time.
 ///
 /// If a handler fails, its task fails: every later call of the program returns the handler's error.
 ///
@@ -77,7 +77,8 @@ impl<S> Default for Handlers<S> {
 /// # assert!(ends.iter().all(|(_, end)| *end == imrs_runtime::TaskEnd::Returned), "{ends:?}");
 /// ```
 impl<S> Context<S> {
-    /// From this call on, the handler takes the messages of this port: [`receive`](Context::receive) without a port skips it.
+    /// From this call on, the handler takes the messages of this port. [`receive`](Context::receive) without a port
+    /// then skips this port.
     ///
     /// # Errors
     /// [`Fault::WrongUsage`] if the task does not receive on this port.
@@ -112,7 +113,8 @@ impl<S> Context<S> {
         })
     }
 
-    /// Messages of this port wait for [`receive`](Context::receive) again.
+    /// From this call on, messages of this port wait for [`receive`](Context::receive) again, and no handler takes
+    /// them.
     ///
     /// # Errors
     /// The errors of [`on_message`](Self::on_message).
@@ -122,7 +124,7 @@ impl<S> Context<S> {
         Ok(())
     }
 
-    /// Sets the handler that runs when this timer of the task ends (Figure 3).
+    /// Sets the handler that runs each time this timer of the task expires (Figure 3).
     pub fn on_timer(
         &mut self,
         timer: TimeId,
@@ -191,7 +193,7 @@ impl<S> Context<S> {
         done
     }
 
-    /// Runs the handler for `call`. The communication task gave the call out, and `age` is the time since then.
+    /// Runs the handler for `call`. `age` is the time since the communication task asked for this.
     pub(super) fn interrupted(&mut self, call: Call, age: Ticks) -> Result<(), TaskError> {
         let atomic = std::mem::take(&mut self.caller.atomic);
         self.caller.depth += 1;

@@ -7,7 +7,8 @@ use crate::node::comm::Completion;
 use imrs_protocol::{Delivery, PortId, Request, Signal, Ticks};
 use std::time::Duration;
 
-/// How many messages [`Context::receive_many`] takes at once, at most, so that other threads wait for a bounded time.
+/// The most messages that [`Context::receive_many`] takes at once. The limit bounds how long other threads wait for
+/// the lock.
 pub const MANY: usize = 64;
 
 impl<S> Context<S> {
@@ -16,9 +17,9 @@ impl<S> Context<S> {
     /// `messages`, the most urgent first, and returns how many; zero says that the time_out ended first. A message of
     /// several packets is the last one taken, so that it can be [`read`](Self::read).
     ///
-    /// For streams of messages. No other thread reaches the task's ports between two of these messages; while other
-    /// threads send, waiting for them is most of the cost of taking a message. Messages that arrive meanwhile are
-    /// taken, too, but a more urgent one stands behind those that were taken before it.
+    /// This is for streams of messages. While other threads send, most of the cost of taking a message is waiting for
+    /// the lock. This call takes the lock once for all messages. Messages that arrive during the call are taken, too,
+    /// but a more urgent one comes after those that were taken before it.
     ///
     /// # Errors
     /// [`TaskError`].

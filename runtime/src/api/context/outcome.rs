@@ -24,7 +24,7 @@ pub enum TaskError {
     /// One `order` names more ports than there are levels.
     #[error("`order` ranks at most 8 ports, not {0}")]
     TooManyLevels(usize),
-    /// The received bytes are no message of the type that the program reads.
+    /// The received bytes are not a message of the type that the program reads.
     #[error("{0} bytes arrived that are not a `{1}`: check that both ends use the port's format")]
     NotThisType(usize, &'static str),
     /// A field holds a value that no message can hold: a real that is not finite.

@@ -4,11 +4,11 @@
 //! node received at `recv` (this node's clock) took `(recv - tx) - offset`. The offset is unknown, but every echo
 //! bounds it from below: at the instant `tx` of the sender's clock, this node's clock had already reached `echo`, so
 //! `offset >= echo - tx`. With the best such bound, a datagram took at most `(recv - tx) - bound`. That is the round
-//! trip of the best echo, plus by how much more this datagram was late than the datagram with that echo. A sender that
-//! was stopped between reading its clock and sending cannot hide that time.
+//! trip of the best echo, plus the additional delay of this datagram compared with the one that carried the echo. If
+//! the sender was stopped between reading its clock and sending, that time is included.
 //!
-//! Two clocks may drift apart by [`DRIFT_PPM`], so a bound weakens with age. A newer bound replaces an older one that
-//! has become weaker than the newer one, or as weak.
+//! Two clocks may drift apart by [`DRIFT_PPM`], so a bound weakens with age. A newer bound replaces an older one once
+//! the older one is not stronger any more.
 //!
 //! Before the first echo there is only the declared bound of the link: this module assumes that the fastest recent
 //! datagram has kept that bound.
@@ -83,7 +83,8 @@ impl LinkDelay {
         if proven.is_none() {
             self.proven = None;
         }
-        // No datagram arrives before it was sent, so the fastest one bounds the offset from above.
+        // No datagram arrives before it was sent, so the offset is at most the least `recv - tx`, that of the fastest
+        // datagram.
         let fastest = self.fastest.map(|f| f.value.saturating_add(f.drift(recv)));
         let most_offset = fastest.filter(|&fastest| fastest < apart).unwrap_or(apart);
         if most_offset == apart {
@@ -145,8 +146,8 @@ mod tests {
     }
 
     proptest! {
-        /// Tests two clocks that drift, delays of any length, and echoes held for any time: the charge is never less than
-        /// the truth, and the lower bound never more.
+        /// Tests two clocks that drift, delays of any length, and echoes held for any time: `longest` is never less
+        /// than the true time, and `shortest` never more.
         #[test]
         fn the_truth_lies_between_the_bounds(
             ppm in -190..190_i64, offset in 0..1_000_000_000_i64,
@@ -159,7 +160,7 @@ mod tests {
             };
             let mut d = LinkDelay::new(DECLARED);
             let mut now = 1_000_000;
-            // The first round trip has an echo, because without an echo the charge depends on the declared bound.
+            // The first round trip has an echo, because without an echo `longest` depends on the declared bound.
             for (i, (out, back, held, echoed)) in trips.into_iter().enumerate() {
                 let (sent, heard) = (now, now + out);
                 let tx = theirs(heard + held);

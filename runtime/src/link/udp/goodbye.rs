@@ -19,7 +19,7 @@ use std::sync::atomic::Ordering;
 use std::thread;
 use std::time::Duration;
 
-/// How often a goodbye leaves, because a datagram may be lost.
+/// How many copies of a goodbye are sent, because a datagram may be lost.
 const COPIES: u32 = 3;
 /// The time between two copies.
 const PAUSE: Duration = Duration::from_millis(5);
@@ -45,8 +45,8 @@ impl Together<'_> {
     /// Handles a goodbye. The first goodbye of the neighbour's session is reported to the sink.
     ///
     /// # Errors
-    /// The goodbye is not of the session that this node knows, and does not prove when it was sent; or a
-    /// newer datagram of its session came before.
+    /// The reason for which the goodbye is dropped: this node does not know its session, and its echo does not prove
+    /// when it was sent; or a newer datagram of its session came before.
     pub(super) fn hears_goodbye(
         &mut self,
         peer: &Peer,
@@ -60,7 +60,7 @@ impl Together<'_> {
             link.proof(peer, known.as_ref(), envelope, by).or_else(|| link.sent_after(envelope, at));
         let contact =
             judge(known.as_ref(), envelope, sent_after, || false).map_err(|unheard| unheard.reason)?;
-        // The packets that wait here were sent before the goodbye, so they are handed over first.
+        // The decoded packets that were not handed over yet were sent before the goodbye, so they go first.
         self.hand_over();
         if let Contact::New { .. } = contact {
             if sent_after.is_none() {

@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 /// How often a neighbour that has not answered is asked again.
 const ASK_EVERY: Duration = Duration::from_millis(100);
 
-/// The sink of a node that has not begun, so that packets for it are lost.
+/// The sink of a node that has not begun yet: it drops all packets.
 struct Deaf<'a>(&'a UdpLink);
 
 impl Sink for Deaf<'_> {
@@ -56,9 +56,9 @@ impl UdpLink {
         any
     }
 
-    /// Asks the neighbours which incarnations of this node they remember, at most for `within` or until all neighbours
-    /// with an address have answered. A node that cannot trust its own record of its incarnation calls this before
-    /// [`set_incarnation`](Self::set_incarnation), and before it runs on the link.
+    /// Asks the neighbours which incarnations of this node they remember. Waits at most for `within`, or until all
+    /// neighbours with an address have answered. A node that cannot trust its own record of its incarnation calls
+    /// this before [`set_incarnation`](Self::set_incarnation), and before the node runs.
     ///
     /// Returns the answer of each neighbour that answered.
     pub fn ask_incarnations(&self, within: Duration) -> Vec<(NodeId, Option<Incarnation>)> {
@@ -81,9 +81,10 @@ impl UdpLink {
             }
             self.poll(&Deaf(self), Some(ask_at.min(end)));
         }
-        // A process that was stopped may find that `within` has passed, while the answers wait in its socket.
+        // If the process was stopped, `within` may have passed although answers wait in its socket: they are read
+        // now.
         self.poll(&Deaf(self), Some(Instant::now()));
-        // Once the node runs, it must meet its neighbours anew, and greet all of them with its own incarnation.
+        // The node will greet its neighbours again with its own incarnation, so their sessions are forgotten here.
         for peer in &self.peers {
             *lock(&peer.known) = None;
             peer.met.store(false, Ordering::Relaxed);
@@ -136,7 +137,7 @@ impl UdpLink {
         let mut outgoing = lock(&peer.outgoing);
         let sent = match self.closing(peer, route, outgoing.counter) {
             Ok(Closing::Checksum) => {
-                // A goodbye is the last datagram of its session, which its counter shows.
+                // A goodbye is the last datagram of its session, so it takes a new counter, which is the greatest.
                 let counter = if purpose == Purpose::Goodbye { outgoing.next() } else { envelope.counter };
                 let bytes = without_packets(&Envelope { counter, ..envelope }, self.digests());
                 self.transmit(&bytes, route)
@@ -162,8 +163,8 @@ impl UdpLink {
         envelope.echo.filter(|echo| echo.session == self.session).map(|echo| echo.mono)
     }
 
-    /// An instant of this node's clock before the datagram was sent, if its echo proves one. An echo from the future
-    /// proves none.
+    /// An instant of this node's clock that is certainly before the datagram was sent: the one that its echo shows.
+    /// `None` without an echo, or if the echo shows a future instant.
     pub(super) fn sent_after(&self, envelope: &Envelope, at: u64) -> Option<u64> {
         self.own_echo(envelope).filter(|&echo| echo <= at)
     }

@@ -10,10 +10,11 @@ use imrs_wire::obs::{Delays, LinkReport};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// The least length of the *recent* time, in microseconds. If the counters are read often, the recent time is at most
-/// twice as long.
+/// The least length of the *recent* time of a report, in microseconds. If reports are read often, it is at most twice
+/// this.
 const RECENT: u64 = 5_000_000;
-/// A datagram is measured if the drift of the clocks since the last exchange may be at most this part of the link's bound.
+/// A datagram is measured only if the clocks cannot have drifted by more than this part of the link's bound since the
+/// last exchange.
 const DRIFT_PART: u64 = 8;
 
 /// The measurements of one direction of a link. Times are of this node's clock, in microseconds.
@@ -24,8 +25,8 @@ pub(super) struct Health {
     unmeasured: AtomicU64,
     /// When this node last sent the neighbour a datagram. The neighbour's next datagram echoes this instant.
     sent_at: AtomicU64,
-    /// For how long after `sent_at` a datagram of the neighbour is measured: as long as the drift of the
-    /// clocks hardly counts.
+    /// For how long after `sent_at` the neighbour's datagrams are measured. After that the clocks may have drifted
+    /// too far apart.
     fresh_for: u64,
     declared: Ticks,
     marks: Mutex<Marks>,

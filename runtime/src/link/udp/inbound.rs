@@ -54,8 +54,8 @@ impl Inbound {
         self.from.is_none()
     }
 
-    /// Receives from the socket with `receive`. If another thread is already receiving, that thread receives once more
-    /// in place of this thread, and the function returns false.
+    /// Receives from the socket with `receive`. If another thread is receiving already, returns false, and that
+    /// thread receives once more, so that no datagram stays in the socket.
     pub(super) fn try_take_in(&self, mut receive: impl FnMut(&mut Queue)) -> bool {
         let mut is_done = false;
         self.queue.want();
@@ -103,12 +103,12 @@ impl UdpLink {
         }
     }
 
-    /// The socket that is connected to the address of the neighbour at `position`: the present socket, or a new one.
+    /// The socket that is connected to the address of the neighbour at `position`: the current socket, or a new one.
     /// `None` if the kernel makes none; then the socket of strangers serves the neighbour.
     pub(super) fn connected(&self, position: usize, address: SocketAddr) -> Option<Arc<Inbound>> {
         let mut inbound = lock(&self.peers[position].inbound);
         if inbound.as_ref().is_none_or(|inbound| inbound.from != Some(address)) {
-            // Datagrams that wait in the former socket came from the neighbour's former address. They are dropped with that
+            // Datagrams in the former socket came from the neighbour's former address. They are dropped with that
             // socket.
             *inbound = self.connect(position, address).ok().map(Arc::new);
         }
@@ -129,7 +129,7 @@ impl UdpLink {
     }
 }
 
-/// In unit tests, the primitives of the real lock work only within an exploration of schedules.
+/// Unit tests use this simple lock, because the real lock's primitives then work only in an exploration of schedules.
 #[cfg(test)]
 mod waiting_lock {
     use crate::lock::lock;

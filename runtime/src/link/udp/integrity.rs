@@ -1,10 +1,10 @@
 //! Decides from damaged datagrams whether a link counts as faulty (D205).
 //!
-//! Damaged datagrams alone prove nothing about a link: anybody can send garbage with a neighbour's address as
-//! its source. But a link that damages datagrams thereby loses them, and a gap in the neighbour's counters
-//! shows each loss. Garbage that another program adds makes no gap. So a link counts as faulty if two numbers
-//! in one window both exceed [`FAILURES`]: that of the damaged datagrams, *and* that of the neighbour's
-//! datagrams that are missing. If only the first number does, the window is counted as unmatched.
+//! Damaged datagrams alone prove nothing about a link, because anybody can send garbage with a neighbour's source
+//! address. But a link that damages datagrams thereby loses them, and each loss shows as a gap in the neighbour's
+//! counters. Garbage of another program makes no gap. So a link counts as faulty if two numbers in one window both
+//! exceed [`FAILURES`]: that of damaged datagrams, and that of missing datagrams of the neighbour. If only the first
+//! one does, the window counts as unmatched.
 //!
 //! A faulty link is only a warning: it changes nothing of what the node sends or accepts.
 
@@ -19,14 +19,14 @@ pub const WINDOW: u64 = 10_000_000;
 /// How many datagrams of a neighbour were accepted, and which counter comes next.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Progress {
-    /// `None` if none was accepted yet.
+    /// The session of these datagrams; `None` if no datagram was accepted yet.
     pub(super) session: Option<Session>,
     pub(super) next: u64,
     pub(super) accepted: u64,
 }
 
 impl Progress {
-    /// How many datagrams of the neighbour are missing that it sent since `earlier`.
+    /// How many of the datagrams that the neighbour has sent since `earlier` are missing.
     fn missing_since(&self, earlier: &Self) -> u64 {
         if self.session != earlier.session {
             return 0;
@@ -49,7 +49,7 @@ pub(super) struct IntegrityWatch {
 struct Window {
     begun: u64,
     failures: u64,
-    /// The neighbour's datagrams when the window began.
+    /// The progress of the neighbour's datagrams when the window began.
     before: Progress,
     is_faulty: bool,
 }
@@ -64,7 +64,7 @@ impl IntegrityWatch {
         self.judge(now, progress);
     }
 
-    /// What this node knows at the instant `now`.
+    /// The report about the link at the instant `now`.
     pub(super) fn report(&mut self, now: u64, progress: Progress) -> Integrity {
         self.judge(now, progress);
         Integrity { is_faulty: now < self.faulty_until, ..self.told }

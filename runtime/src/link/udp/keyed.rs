@@ -24,7 +24,7 @@ use std::time::{Duration, Instant};
 /// How often the polling thread checks whether an attempt at a session has failed.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
-/// How a datagram is closed: by a checksum, or by the keys of a session.
+/// How a datagram is protected: by a checksum, or by the keys of a session.
 pub(super) enum Closing {
     Checksum,
     Keys(Arc<Live>),
@@ -34,9 +34,9 @@ pub(super) enum Closing {
 pub(super) type Unlocked<'a> = (Opened<'a>, Option<Arc<Live>>);
 
 impl UdpLink {
-    /// From now on these keys encrypt every datagram, and the link accepts no other datagrams: a forged,
-    /// changed or repeated one changes nothing. Neighbours need keys of the same cell. Call this before the
-    /// link is used.
+    /// Makes the link encrypt every datagram with these keys, and accept no other datagrams. A forged, changed or
+    /// repeated datagram then has no effect. Neighbours need keys of the same cell. Call this before the link is
+    /// used.
     ///
     /// # Errors
     /// [`UdpError::NoKey`] if `keys` lacks the public key of a neighbour, [`UdpError::NoRandom`] if the
@@ -54,14 +54,15 @@ impl UdpLink {
         Ok(self)
     }
 
-    /// Whether keys close the datagrams of this link.
+    /// Whether this link encrypts its datagrams with keys.
     #[must_use]
     pub const fn has_keys(&self) -> bool {
         self.has_keys
     }
 
-    /// What closes the next datagram to a neighbour: a checksum or a session. If a session is needed and there is none,
-    /// or only an old one, the link asks the neighbour for a session, and the polling thread repeats this request.
+    /// How the next datagram to a neighbour is protected: by a checksum or by a session. If the link has keys, and
+    /// there is no session or only an old one, the link asks the neighbour for a session. The polling thread repeats
+    /// this request.
     ///
     /// # Errors
     /// There is no session yet.
@@ -87,14 +88,14 @@ impl UdpLink {
         };
         if let Some(hello) = hello {
             self.statistics.add(UdpCount::HandshakesSent, 1);
-            // If this datagram is lost, it is sent again later.
+            // If this datagram is lost, the polling thread sends it again.
             let _ = self.transmit(&hello, route);
         }
         session.map(Closing::Keys)
     }
 
-    /// Repeats the requests for sessions that were not answered, and the greetings in new sessions. Returns
-    /// when to do so again, if any is still unanswered. The polling thread calls this.
+    /// Repeats requests for sessions that were not answered, and greetings in new sessions. Returns the instant at
+    /// which this is due again; `None` if all were answered. The polling thread calls this.
     pub(super) fn knock(&self) -> Option<Instant> {
         if !self.knocks.swap(false, Ordering::AcqRel) {
             return None;
@@ -180,7 +181,8 @@ impl UdpLink {
             }
             Answer::Made => {
                 self.statistics.add(UdpCount::SessionsMade, 1);
-                // The neighbour sends in the session once it has received a datagram in it.
+                // The neighbour sends in the new session only after it has received a datagram in it, so a greeting
+                // may be needed.
                 self.knocks.store(true, Ordering::Release);
                 self.session_made();
                 let heard = *lock(&peer.heard);
@@ -197,12 +199,12 @@ impl UdpLink {
         }
     }
 
-    /// Sends a datagram of a handshake to the neighbour's address in the address book, whatever address the neighbour's
-    /// request came from.
+    /// Sends a datagram of a handshake to the neighbour's address in the address book, even if the request came from
+    /// another address.
     fn reply(&self, peer: &Peer, bytes: &[u8]) {
         if let Some(route) = lock(&peer.route).as_mut() {
             self.statistics.add(UdpCount::HandshakesSent, 1);
-            // If this datagram is lost, it is sent again later.
+            // If this datagram is lost, the neighbour repeats its request.
             let _ = self.transmit(bytes, route);
         }
     }
@@ -213,10 +215,10 @@ impl UdpLink {
         self.polling.wake().wake();
     }
 
-    /// With keys, returns the proof that a datagram is later than everything that this node accepted before:
-    /// the datagram is of a session from which this node has accepted nothing yet, and that session is still
-    /// valid. The caller holds the lock of the neighbour's state, so that a late datagram of an ended session
-    /// cannot replace the present one.
+    /// With keys: proves that a datagram is later than everything that this node has accepted. The proof is that the
+    /// datagram is the first one accepted in its session, and that this session is still valid. The caller holds the
+    /// lock of the neighbour's state: otherwise a late datagram of an ended session could replace the current
+    /// session.
     pub(super) fn proof(
         &self,
         peer: &Peer,
@@ -228,13 +230,13 @@ impl UdpLink {
         by.filter(|live| is_new && self.still_has(peer, live)).map(|_| u64::MAX)
     }
 
-    /// Whether a session is still valid: it ends if its neighbour is started again.
+    /// Whether a session is still valid: it is not if the neighbour has been restarted since.
     fn still_has(&self, peer: &Peer, live: &Arc<Live>) -> bool {
         lock(&peer.channel).as_ref().is_some_and(|channel| channel.has(live))
     }
 
-    /// This node has keys and dropped a datagram of a node without keys. If the two nodes have not communicated yet,
-    /// this records a hint for the users.
+    /// Records a hint for the users that a node without keys sends to this node, which has keys. There is no hint if
+    /// the two nodes have communicated before.
     fn hint_at_plain(&self, bytes: &[u8]) {
         if let Ok(Opened { envelope: Envelope { sender, .. }, digests, .. }) =
             imrs_wire::envelope::read(bytes)
@@ -243,7 +245,7 @@ impl UdpLink {
         }
     }
 
-    /// This node has no keys and dropped a datagram of a node with keys.
+    /// Records a hint for the users that a node with keys sends to this node, which has no keys.
     pub(super) fn hint_at_keys(&self, bytes: &[u8]) {
         if let Ok(Keyed::Handshake(said)) = keyed::read(bytes) {
             self.hint_at_mode(said.sender, self.digests());
@@ -261,9 +263,9 @@ impl UdpLink {
         }
     }
 
-    /// Handles a datagram of another version from the address of a neighbour. If this node has not talked
-    /// with that neighbour yet, it records a hint for people, and the first time it sends the neighbour a
-    /// datagram, which shows the neighbour the version of this node. The rest of the datagram cannot be read.
+    /// Handles a datagram of another version from a neighbour's address. If this node has talked with that neighbour
+    /// before, nothing happens. For the first such datagram otherwise, records a hint for people, and sends the neighbour a
+    /// datagram, which shows this node's version. The rest of the received datagram cannot be read.
     fn hint_at_version(&self, peer: &Peer) {
         if peer.met.load(Ordering::Relaxed) {
             return;
@@ -273,7 +275,7 @@ impl UdpLink {
             return;
         }
         self.note_refusal(peer, Refused::OtherVersion, self.digests(), true);
-        // Anybody can make such a datagram, so it must not end an attempt at a session.
+        // Anybody can forge such a datagram, so it must not end an attempt at a session.
         let again = lock(&peer.channel).as_ref().and_then(Channel::hello_again);
         match again {
             Some(hello) => self.reply(peer, &hello),
@@ -288,7 +290,7 @@ impl UdpLink {
     }
 }
 
-/// The reason under which a datagram that led to a refusal is counted.
+/// The reason under which this node counts a datagram that it refuses, or with which a neighbour refuses.
 const fn discard(why: Refused, here: bool) -> LinkDiscard {
     match why {
         _ if !here => LinkDiscard::RefusedByPeer,

@@ -1,4 +1,4 @@
-//! How a task's thread waits in the link, while no other thread polls for it.
+//! How a task's thread waits in the link's socket, while no other thread polls for it.
 
 use super::UdpLink;
 use super::watch::Seen;

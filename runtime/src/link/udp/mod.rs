@@ -70,14 +70,14 @@ pub struct UdpLink {
     options: UdpOptions,
     /// The incarnation of the node, and whether an earlier incarnation may have taken requests.
     identity: AtomicU16,
-    /// Whether the node does not know its incarnation yet, so that it asks its neighbours.
+    /// Whether the node does not know its incarnation yet, and so asks its neighbours.
     uncounted: AtomicBool,
     session: Session,
     /// Whether keys close the datagrams of this link.
     has_keys: bool,
     /// Whether a neighbour may still owe an answer to a request for a session.
     knocks: AtomicBool,
-    /// The socket that was bound first. It receives what no neighbour's socket receives.
+    /// The socket that was bound first. It receives all datagrams that do not come from a neighbour's address.
     strangers: Arc<Inbound>,
     /// The socket options that every receiving socket asks for.
     asked: Asked,
@@ -100,7 +100,7 @@ pub struct UdpLink {
     peers: Box<[Peer]>,
     poll: Mutex<Poll>,
     poll_changed: Condvar,
-    /// Whether the kernel was found to take no more datagrams for some neighbour.
+    /// Whether the kernel's send queue for any neighbour was found full.
     blocked: AtomicBool,
     /// Whether [`Link::wake`] was called, and no poll has ended for that reason yet.
     woken: AtomicBool,
@@ -303,17 +303,17 @@ impl UdpLink {
         }
     }
 
-    /// Pauses after a failed wait, because the kernel lacks even the memory for one.
+    /// Pauses after a failed wait, because the kernel lacks even the memory for a wait.
     fn wait_failed(&self) {
         self.statistics.add(UdpCount::ReceiveFailed, 1);
         std::thread::sleep(Duration::from_millis(1));
     }
 
-    /// Whether the event counter ends the poll, or only makes the poll check the socket again.
+    /// Why the poll must end, now that the event counter was raised; `None` if it must only check the socket again.
     fn end_of_wake(&self) -> Option<PollEnd> {
         if self.address_known.swap(false, Ordering::AcqRel) {
             if self.woken.load(Ordering::Acquire) {
-                // Each of the two causes must end a poll of its own. So this also ends the next poll.
+                // Both causes have occurred, and each must end a poll of its own. So the next poll is ended, too.
                 self.polling.wake().wake();
             }
             return Some(PollEnd::Ready);

@@ -19,8 +19,8 @@ pub struct UdpOptions {
     /// zero if no task has a script. Nodes with different digests refuse each other.
     pub statements: u32,
     /// How many bytes each of the kernel's receive queues holds (SO_RCVBUF; the kernel doubles it for its own needs).
-    /// There is one queue for each neighbour and one for all other senders. A queue that holds more than arrives within
-    /// the longest time_out is of no use.
+    /// There is one queue for each neighbour and one for all other senders. A queue need not hold more than
+    /// arrives within the longest time_out.
     pub queue_bytes: usize,
     /// Whether the kernel, if it can, cuts the data of one call into datagrams (UDP_SEGMENT, Linux 4.18), and merges
     /// datagrams that come from one neighbour (UDP_GRO, Linux 5.0).

@@ -15,7 +15,7 @@ use std::net::{SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicU16, Ordering};
 use std::sync::{Arc, Mutex};
 
-/// A neighbour: the state that sending threads use.
+/// One neighbour, with the state that the sending threads share.
 pub(super) struct Peer {
     pub(super) node: NodeId,
     /// The declared bound of the link to the neighbour, in microseconds.
@@ -27,23 +27,23 @@ pub(super) struct Peer {
     /// judged and recorded, because two datagrams may arrive at once: one over the neighbour's own socket, and one over
     /// the socket of strangers.
     pub(super) known: Mutex<Option<Known>>,
-    /// Whether the kernel was found to take no more datagrams for this neighbour. The reason may be that this neighbour
-    /// is unreachable, so this does not concern other neighbours.
+    /// Whether the kernel's send queue for this neighbour was found full. The neighbour may be unreachable, so this
+    /// says nothing about other neighbours.
     pub(super) full: AtomicBool,
     pub(super) outgoing: Mutex<Outgoing>,
     /// The neighbour's clock, as its last datagram showed it.
     pub(super) heard: Mutex<Option<Heard>>,
     /// Whether any datagram of the neighbour was accepted since its address was set.
     pub(super) met: AtomicBool,
-    /// Whether the neighbour has said goodbye in its present session.
+    /// Whether the neighbour has said goodbye in its current session.
     pub(super) has_stopped: AtomicBool,
     /// The newest incarnation of the neighbour that was seen in its envelopes, or in packets that other nodes relayed.
     /// [`NOTHING`] before any was seen.
     remembered: AtomicU16,
-    /// The incarnation of this node that the neighbour remembers; the outer option is empty until the neighbour has
-    /// answered.
+    /// The incarnation of this node that the neighbour remembers, if any. The outer option is `None` until the
+    /// neighbour has answered.
     pub(super) remembers: Mutex<Option<Option<Incarnation>>>,
-    /// The present refusal: there is one if a datagram was refused after the last accepted datagram.
+    /// The last refusal; `None` once a datagram is accepted after it.
     pub(super) refusal: Mutex<Option<Refusal>>,
     /// Whether `refusal` has a value.
     pub(super) is_refused: AtomicBool,
@@ -58,12 +58,12 @@ pub(super) struct Peer {
 #[derive(Default)]
 pub(super) struct Outgoing {
     pub(super) counter: u64,
-    /// Reusable datagrams: as many as ever left in one call.
+    /// Datagrams whose memory is used again. There are as many as ever left in one call.
     pub(super) datagrams: Vec<Datagram>,
 }
 
 impl Outgoing {
-    /// Uses up a counter.
+    /// Takes the next counter.
     pub(super) const fn next(&mut self) -> u64 {
         self.counter += 1;
         self.counter - 1
@@ -127,7 +127,7 @@ impl Route {
         (self.segments == Segments::Cut).then_some(socket)
     }
 
-    /// Makes each datagram leave in a call of its own from now on. Returns false if that was already so.
+    /// Makes each datagram leave in a call of its own from now on. Returns false if each did already.
     pub(super) fn segment_no_more(&mut self) -> bool {
         let cut = std::mem::replace(&mut self.segments, Segments::Refused) == Segments::Cut;
         if let Some(connected) = self.connected.as_deref().filter(|_| cut) {
@@ -161,7 +161,7 @@ impl Peer {
         }
     }
 
-    /// What this node knows of the link from the neighbour at the instant `now`.
+    /// The report about the link from the neighbour at the instant `now`.
     pub(super) fn report(&self, now: u64) -> LinkReport {
         let has_stopped = self.has_stopped.load(Ordering::Acquire);
         LinkReport { has_stopped, ..self.health.report(self.node, now, self.progress()) }
@@ -202,13 +202,13 @@ impl Heard {
         Self { session: envelope.session, tx_mono: envelope.tx_mono, at }
     }
 
-    /// The least that the neighbour's clock shows when this node's clock shows `tx`. The time since the neighbour's
-    /// last datagram is measured with a clock that may run faster than the neighbour's.
+    /// The least value that the neighbour's clock has when this node's clock shows `tx`. The time since the
+    /// neighbour's last datagram is measured by this node's clock, which may run faster than the neighbour's.
     pub(super) fn echo(&self, tx: u64) -> Option<Echo> {
         let drift = |time: u64| time / (1_000_000 / DRIFT_PPM) + 1;
         let mono = match tx.checked_sub(self.at) {
             Some(held) => self.tx_mono.checked_add(held.saturating_sub(drift(held)))?,
-            // The packets were made ready before this node received the neighbour's datagram.
+            // This node read `tx` before it received the neighbour's datagram.
             None => self.tx_mono.checked_sub((self.at - tx) + drift(self.at - tx))?,
         };
         Some(Echo { session: self.session, mono })
@@ -218,9 +218,9 @@ impl Heard {
 /// A limit on how many greetings and refusals leave for a neighbour.
 #[derive(Default)]
 pub(super) struct Pace {
-    /// When the present span began, and how many greetings left in it.
+    /// When the current span began, and how many greetings left in it.
     greetings: (u64, u32),
-    /// When the present span of answers in handshakes began, and how many answers left in it.
+    /// When the current span of answers in handshakes began, and how many answers left in it.
     answers: (u64, u32),
     /// When the last refusal left.
     refused: Option<u64>,

@@ -29,7 +29,7 @@ use std::time::Duration;
 const BATCH: usize = 64;
 /// The same limit for the socket of strangers: neighbours wait for at most this many of its datagrams.
 const STRANGERS_BATCH: usize = 16;
-/// If a socket was seen empty within this time, a thread takes only one datagram from it, otherwise up to [`BATCH`].
+/// If a socket was seen empty within this time, a thread takes only one datagram from it; otherwise up to [`BATCH`].
 const EMPTY_OFTEN: Duration = Duration::from_millis(10);
 
 /// The result of a visit to a socket.
@@ -66,10 +66,10 @@ impl Room {
 }
 
 impl UdpLink {
-    /// Takes one datagram, with those that the kernel merged with it, from each socket that was reported to the leader.
-    /// Datagrams that come later are reported to the polling thread. Returns false if another thread receives from one of the
-    /// sockets: that thread takes the datagram. Reading on until a socket is empty costs one more syscall. While the kernel
-    /// stamps the datagrams nothing depends on it, so it is done only after `EMPTY_OFTEN`.
+    /// Takes one datagram, with those that the kernel merged with it, from each socket that was reported to the
+    /// leader. The kernel reports later datagrams to the polling thread. Returns false if another thread receives
+    /// from one of the sockets: that thread takes the datagram. Reading a socket until it is empty costs one more
+    /// syscall, so this is done only after `EMPTY_OFTEN`. That instant matters only without the kernel's stamps.
     pub(super) fn take_told(&self, told: &ReadySockets, sink: &dyn Sink) -> bool {
         self.with_room(|room| {
             let mut all = true;
@@ -152,7 +152,7 @@ impl UdpLink {
                 }
                 // The error is an interruption, or a network error about an earlier datagram. No datagram was taken.
                 Err(error) => {
-                    // A connected socket gets such network errors only for datagrams that were sent through it.
+                    // A connected socket reports such network errors only for datagrams that were sent through it.
                     if inbound.from.is_some() && error.kind() != io::ErrorKind::Interrupted {
                         self.statistics.send_failed(&error);
                     } else {
@@ -187,8 +187,8 @@ impl UdpLink {
             Evidence::ClockSet => UdpCount::ClockSet,
         };
         self.statistics.add(count, 1);
-        // The whole time since the socket was seen empty is charged. `Instant` stands still while the machine is suspended, so
-        // that time is added.
+        // The whole time since the socket was seen empty counts as waiting. `Instant` does not advance while the machine is
+        // suspended, so that time is added.
         let slept = clock::look_for_suspend().saturating_sub(empty.suspended);
         Ticks(waited.saturating_add(slept))
     }
@@ -205,7 +205,7 @@ pub(super) struct Together<'a> {
     /// Decoded packets that were not handed to the sink yet.
     decoded: &'a mut Vec<Packet>,
     plain: &'a mut Box<[u8]>,
-    /// The sender of the packets in `decoded`, and their charge.
+    /// The sender of the packets in `decoded`, and by how much their remaining times are reduced.
     of: Option<(NodeId, Ticks)>,
     /// How many of the datagrams were greetings, and how many belonged to handshakes: anybody can repeat those.
     greetings: u64,
@@ -216,10 +216,10 @@ pub(super) struct Together<'a> {
 }
 
 impl Together<'_> {
-    /// Judges each datagram by itself, and hands over its packets. Returns how many datagrams there were, and how many
-    /// of them were accepted.
+    /// Checks each datagram by itself, and hands over its packets. Returns how many datagrams there were, and how
+    /// many of them were accepted.
     ///
-    /// All datagrams of one neighbour in one call have one charge, and their packets are handed over together.
+    /// All datagrams of one neighbour in one call lose the same remaining time, and are handed over together.
     /// Otherwise a later packet would count as older if the clock advanced between two datagrams (D126).
     fn deliver(mut self, received: &Received<'_>) -> (usize, usize) {
         let mut count = 0;
@@ -294,7 +294,7 @@ impl Together<'_> {
             return Ok(());
         }
         if let Contact::New { .. } = contact {
-            // The packets before this datagram belong to an earlier session.
+            // The packets that were decoded before this datagram belong to an earlier session of the sender.
             self.hand_over_first(std::mem::take(&mut before));
         }
         self.admitted += 1;
@@ -308,7 +308,7 @@ impl Together<'_> {
         Ok(())
     }
 
-    /// Decodes packets into the buffer, which has room, behind those that wait there. Returns how many waited before.
+    /// Appends decoded packets to the buffer, which has room for them. Returns how many packets waited in it before.
     fn decode(&mut self, packets: &[[u8; 32]], sender: NodeId) -> usize {
         let (link, before) = (self.link, self.decoded.len());
         let port_hash = |port| link.table.port(port).map(|port| port.hash);

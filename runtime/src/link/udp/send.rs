@@ -17,10 +17,10 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-/// How many full datagrams leave in one call at most, if the kernel cuts the call into datagrams. More urgent packets
-/// cannot overtake datagrams that the socket holds: 20 datagrams if they leave in such calls, and 15 if they leave one
-/// by one. Such calls save seven tenths of the cost of single calls; twice as many datagrams in a call would save only
-/// another tenth (D129).
+/// The most full datagrams that leave in one call, if the kernel cuts its data into datagrams. More urgent packets
+/// cannot overtake datagrams in the socket: 20 datagrams if they leave in such calls, and 15 if each leaves in a call
+/// of its own. Such calls save seven tenths of the cost of single calls. Twice as many datagrams in a call would save
+/// only another tenth (D129).
 pub(crate) const SEGMENTS: usize = 4;
 
 impl UdpLink {
@@ -45,7 +45,8 @@ impl UdpLink {
         {
             datagram.clear();
             for packet in packets {
-                // The cell of this node may lack the port. The neighbour then reports this, and counts the packet.
+                // This node's cell may lack the port. The packet is sent anyway, because the neighbour then reports
+                // and counts it.
                 let hash = self.table.port(packet.port).map_or(0, |port| port.hash);
                 datagram.push(&packet.encode(self.table.digest(), hash));
             }
@@ -57,8 +58,8 @@ impl UdpLink {
             }
         }
         let left = self.leave(peer, route, &datagrams[..count]);
-        // The counters of datagrams that the kernel did not take are used up, too, because a part of a failed call may have
-        // left.
+        // The counters of datagrams that the kernel did not take are not used again, because a part of a failed call
+        // may have left.
         *counter += count as u64;
         left.map(|left| packets.len().min(left * MAX_PACKETS))
     }
@@ -98,8 +99,8 @@ impl UdpLink {
                     return Ok(datagrams.len());
                 }
                 Err(error) if is_full(&error) => return Err(self.found_full(peer)),
-                // After this error each datagram is sent by itself. If one left in spite of the error, the receiver
-                // recognises its counter.
+                // After this error each datagram is sent again by itself. If one had left in spite of the error, the
+                // receiver recognises its counter and drops the copy.
                 Err(_) => {}
             }
         }
@@ -126,7 +127,8 @@ impl UdpLink {
         self.statistics.add(UdpCount::Busy, 1);
         peer.full.store(true, Ordering::Release);
         self.blocked.store(true, Ordering::Release);
-        // A thread that already waits in the socket does not wait yet for room in the kernel's send queue, so it is woken.
+        // The polling thread may already wait in its sockets, without waiting for room in the send queue. It is woken
+        // to do so.
         self.polling.wake().wake();
         LinkBusy
     }

@@ -1,16 +1,16 @@
 //! Decides from which session of a neighbour datagrams are accepted (D144).
 //!
-//! A node draws a new session at every start. Sessions have no order, so a datagram of another session than the known
-//! one must prove that it was sent later. Its echo is the proof: an instant of *this* node's clock before the neighbour
-//! sent the datagram. If the echo is not before the arrival of the known session's last datagram, the new session's
-//! datagram was sent after that arrival. A node runs once at a time, so the known session is over.
+//! A node draws a new session at every start. Sessions have no order. So a datagram of another session than the known
+//! one must prove that it was sent later. Its echo is the proof: it names an instant of *this* node's clock before
+//! the datagram was sent. If that instant is not before the arrival of the known session's last datagram, the new
+//! datagram was sent after that arrival. A node runs only once at a time, so the known session is over.
 //!
-//! A datagram of a dead session was sent before the present session began, so its echo is never late enough: it cannot
-//! replace the present session, however often and whenever it is repeated. If the new session of a neighbour gives no
-//! such echo, this node asks the neighbour for one, which takes one exchange of datagrams.
+//! A datagram of an ended session was sent before the current session began, so its echo is never late enough. It
+//! cannot replace the current session, however often and whenever it is repeated. If a new session of a neighbour
+//! gives no such echo, this node asks the neighbour for one, which takes one exchange of datagrams.
 //!
-//! The same proof corrects a wrong counter. A datagram that was sent after the arrival of the datagram with the
-//! greatest counter has the greater counter in truth, whatever the earlier one showed.
+//! The same proof corrects a wrong counter. If a datagram proves that it was sent after the datagram with the
+//! greatest counter had arrived, its own counter must be the greater one. So the greatest counter was wrong.
 
 use super::delay::LinkDelay;
 use super::integrity::Progress;
@@ -189,7 +189,7 @@ mod tests {
     #[test]
     fn a_new_session_takes_over_when_it_was_sent_after_all_that_came() {
         let known = heard(&[(1, 200, 0, 100), (1, 200, 1, 500)]);
-        // The neighbour lost its state, so it counts its incarnations from the beginning.
+        // The neighbour has lost its state, so it counts its incarnations from the beginning again.
         let again = envelope(2, 0, 0);
         let unproven = |sent_after| judged(&known, &again, sent_after).unwrap_err();
         assert_eq!(unproven(None), Unheard { reason: LinkDiscard::UnprovenSession, asks: true });

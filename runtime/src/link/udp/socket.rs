@@ -19,11 +19,11 @@ const BUFFER_BYTES: usize = MAX_DATAGRAM_BYTES + 1;
 /// The most bytes that the kernel merges. Any single datagram fits, too.
 const MERGED_BYTES: usize = 64 * 1024;
 
-/// How many bytes the kernel holds for the network (SO_SNDBUF; the kernel doubles that for its own needs). No urgent
-/// packet can overtake these bytes, so the number is just large enough to keep the network busy. A full datagram takes
-/// 2,304 bytes of the kernel's if it leaves alone, so the kernel holds 15 of them, or 20 that leave in calls of four
-/// (D129). The socket takes more datagrams once half of these bytes are gone. The remaining seven datagrams take 85 us
-/// at a gigabit a second, longer than the sending thread takes to wake (D110).
+/// How many bytes the kernel holds for the network (SO_SNDBUF; the kernel doubles this for its own needs). No urgent
+/// packet can overtake these bytes, so the number is just large enough to keep the network busy. A full datagram
+/// takes 2,304 bytes of the kernel's memory if it leaves alone. So the kernel holds 15 datagrams, or 20 that leave in
+/// calls of four (D129). The socket takes more once half of these bytes are sent. The other seven datagrams take 85
+/// us at a gigabit a second, and the sending thread wakes in less time (D110).
 const SEND_QUEUE_BYTES: usize = 16 * 1024;
 
 /// Limits how many bytes the kernel holds for the network from this socket.
@@ -67,7 +67,7 @@ pub(super) struct Received<'a> {
 }
 
 impl<'a> Received<'a> {
-    /// What a call gives that brings these bytes, as datagrams of this length, and no stamp.
+    /// A received call in a test: these bytes, cut into datagrams of this length, without a stamp.
     #[cfg(test)]
     pub(super) const fn of(bytes: &'a [u8], segment: usize) -> Self {
         Self { bytes, segment, stamp: None, dropped: None }
@@ -84,12 +84,12 @@ impl<'a> Received<'a> {
 pub(super) struct Receiver {
     bytes: Box<[u8]>,
     control: Vec<u8>,
-    /// Whether the kernel's stamps are the times of arrival.
+    /// Whether the kernel's stamps are times of arrival, not of reception.
     pub(super) stamped: bool,
 }
 
 impl Receiver {
-    /// A receiver. `merges` says whether the kernel may merge datagrams.
+    /// Makes a receiver. `merges` says whether the kernel may merge datagrams.
     pub(super) fn new(stamped: bool, merges: bool) -> Self {
         let control = nix::cmsg_space!(TimeSpec, u32, i32);
         let room = if merges { MERGED_BYTES } else { BUFFER_BYTES };
@@ -149,8 +149,9 @@ impl Asked {
     }
 }
 
-/// A socket bound to `address`, which no other socket may have. `merges` says whether the kernel may merge datagrams. Also
-/// returns the options that the kernel accepted, and a reading of the clocks from before any datagram can have arrived.
+/// Makes a socket and binds it to `address`, which no other socket may have. `merges` says whether the kernel may
+/// merge datagrams. Also returns the options that the kernel accepted, and a reading of the clocks from before any
+/// datagram can have arrived.
 pub(super) fn bind(
     address: SocketAddr,
     queue: usize,
@@ -219,7 +220,7 @@ fn stamps_work() -> bool {
     attempt().unwrap_or(false)
 }
 
-/// An event counter by which another thread ends a wait.
+/// An event counter with which one thread ends the wait of another.
 pub(super) struct Wake(OwnedFd);
 
 impl Wake {
@@ -228,9 +229,9 @@ impl Wake {
         fd.map(Self).map_err(|errno| UdpError::Wake(errno.into()))
     }
 
-    /// Ends the present wait, or else the next one.
+    /// Ends the current wait; if there is none, the next wait ends at once.
     pub(super) fn wake(&self) {
-        // This fails only if the counter is full, and then the wait ends all the same.
+        // This fails only if the counter is full. A full counter ends the wait, too.
         let _ = rustix::io::write(&self.0, &1_u64.to_ne_bytes());
     }
 
@@ -253,8 +254,9 @@ pub(super) enum Waited {
     TimedOut,
 }
 
-/// Waits until the epoll instance has an event, one of the `full` sockets takes datagrams again, or the instant `until` has
-/// passed. It allocates, which is acceptable while the network does not keep up.
+/// Waits until the epoll instance has an event, one of the `full` sockets takes datagrams again, or the instant
+/// `until` has passed. This function allocates, which is acceptable because it runs only while the network does not
+/// keep up.
 pub(super) fn wait_for_room(
     epoll: &OwnedFd,
     full: &[&UdpSocket],
@@ -265,10 +267,10 @@ pub(super) fn wait_for_room(
     clock::sleeps();
     loop {
         let left = until.map(|until| until.saturating_duration_since(Instant::now()));
-        // A wait that is too long for the kernel's type of a time counts as a wait without end.
+        // If the remaining time is too long for the kernel's type, the wait has no end.
         let timeout = left.and_then(|left| Timespec::try_from(left).ok());
         match poll(&mut fds, timeout.as_ref()) {
-            // `poll` uses the same clock as `Instant`, but no documentation promises that.
+            // In fact `poll` uses the clock of `Instant`, but no documentation promises that, so the time is checked.
             Ok(0) if until.is_some_and(|until| Instant::now() < until) => {}
             Ok(0) => return Ok(Waited::TimedOut),
             Ok(_) => {}
@@ -278,7 +280,7 @@ pub(super) fn wait_for_room(
         if !fds[0].revents().is_empty() {
             return Ok(Waited::ReadySockets);
         }
-        // The next send reports a socket's error, so an error counts as writable, too.
+        // A socket with an error counts as writable, too, because the next send reports the error.
         if fds[1..].iter().any(|fd| !fd.revents().is_empty()) {
             return Ok(Waited::Writable);
         }

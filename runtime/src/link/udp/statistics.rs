@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 macro_rules! counts {
     ($($(#[doc = $doc:literal])+ $variant:ident = $name:literal),* $(,)?) => {
-        /// The events that a UDP link counts. Dropped datagrams that arrived are not here: the link tells the node the
-        /// reason of each drop.
+        /// The events that a UDP link counts. It does not count the arriving datagrams that it drops: the link
+        /// reports each of these to the node, with the reason.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum UdpCount { $($(#[doc = $doc])+ $variant),* }
 
@@ -40,8 +40,8 @@ counts! {
     PacketsReceived = "packets_received",
     /// Datagrams that the kernel dropped because its queue was full (SO_RXQ_OVFL); datagrams that it had merged count as one.
     KernelDropped = "kernel_dropped",
-    /// Datagrams that the kernel dropped from the socket of strangers, so they came from addresses of no neighbour. A flood
-    /// from outside the cell shows here.
+    /// Datagrams that the kernel dropped from the socket of strangers. Their source was no neighbour's address, so
+    /// they show a flood from outside the cell.
     StrangersDropped = "strangers_dropped",
     /// Sends that found the kernel's send queue full; the packets were kept.
     Busy = "send_busy",
@@ -74,8 +74,8 @@ counts! {
     GoodbyesSent = "goodbyes_sent",
     /// Neighbours that have said goodbye, once for each of their sessions.
     GoodbyesReceived = "goodbyes_received",
-    /// How often the node asked a neighbour for an echo, because the neighbour's session or counter could not be told from
-    /// an old one.
+    /// How often the node asked a neighbour for an echo, because the neighbour's session or counter could not be
+    /// distinguished from an old one.
     EchoesAsked = "echoes_asked",
     /// Counters of neighbours that one datagram had set too far ahead, and that a later datagram corrected.
     CountersMended = "counters_mended",

@@ -5,9 +5,9 @@
 //! thread sleeps. So a datagram wakes only the leader. If no thread leads, or the leader is already awake, the datagram wakes
 //! the polling thread. When a leader begins or ends its wait, nothing needs to be changed, and no thread is woken.
 //!
-//! The order decides which thread is woken, never whether a thread is woken: an instance without a thread keeps its
-//! events, and both instances are level-triggered. Only the polling thread's instance watches the socket of strangers:
-//! what strangers send wakes no task (D155).
+//! The order decides only which thread is woken, never whether one is woken: an instance without a waiting thread
+//! keeps its events, and both instances are level-triggered. Only the polling thread's instance watches the socket of
+//! strangers, so datagrams of strangers wake no task (D155).
 
 use super::UdpError;
 use super::socket::Wake;
@@ -22,10 +22,10 @@ use std::time::{Duration, Instant};
 
 /// The event data of the event counter. The event data of a socket are the socket's number.
 const WAKE: u64 = u64::MAX;
-/// How many events one wait reports, at most. The kernel reports further events with the next waits, in turns.
+/// The most events that one wait reports. If there are more, the kernel reports them with the next waits.
 const AT_ONCE: usize = 16;
 
-/// Waits that are shorter than this are too short for epoll's timeout, which has whole milliseconds.
+/// Waits shorter than this use a precise timeout, because epoll's timeout has whole milliseconds.
 const COARSE: Duration = Duration::from_millis(2);
 const NOW: Timespec = Timespec { tv_sec: 0, tv_nsec: 0 };
 /// The kernel may end a wait late, by a thousandth of its length. So a long wait is made of two waits. The first is shorter
@@ -36,8 +36,8 @@ const LATE: u32 = 500;
 pub(super) struct Watch {
     epoll: OwnedFd,
     wake: Wake,
-    /// If there are both a datagram and a wake-up, whether the wake-up is reported first. The datagram then ends the
-    /// next wait.
+    /// Which event is reported first if there are both a datagram and a wake-up: the wake-up if this is true. The
+    /// other event ends the next wait.
     wake_first: bool,
 }
 
@@ -91,8 +91,8 @@ impl Watch {
         Ok(epoll::modify(&self.epoll, socket, EventData::new_u64(place.into()), events)?)
     }
 
-    /// Watches a socket, and is served after all epoll instances to which the socket was added before. Closing the
-    /// socket removes it.
+    /// Watches a socket. The kernel serves this epoll instance after all instances to which the socket was added
+    /// before. Closing the socket removes it.
     pub(super) fn add(&self, socket: &UdpSocket, place: u32) -> io::Result<()> {
         let exclusive = EventFlags::IN | EventFlags::EXCLUSIVE;
         Ok(epoll::add(&self.epoll, socket, EventData::new_u64(place.into()), exclusive)?)
@@ -146,7 +146,8 @@ impl Watch {
         Ok(self.seen(told, wake))
     }
 
-    /// Waits with a precise timeout. Such a wait wakes other threads, too. That does no harm, because the wait is short.
+    /// Waits with a precise timeout. A datagram may then wake other threads, too, which does no harm because the wait
+    /// is short.
     fn wait_exactly(&self, left: Duration) -> rustix::io::Result<Seen> {
         if !left.is_zero() {
             poll(&mut [PollFd::new(&self.epoll, PollFlags::IN)], Timespec::try_from(left).ok().as_ref())?;

@@ -1,5 +1,5 @@
-//! Requests of a domain's member as fused steps: one step does what several small steps would do (D176, D200). It is recorded as
-//! the small steps for which it stands (D207).
+//! A member's request as one fused step: it replaces several small steps of the tasks of a domain (D176, D200). The
+//! recording lists the small steps that it replaces (D207).
 
 use super::Turn;
 use crate::clock::Micros;
@@ -14,9 +14,9 @@ use imrs_protocol::{
 };
 
 impl Turn<'_> {
-    /// Takes a request of the member as one fused step with the other members that it concerns (D176, D193).
-    /// If the request is a REPLY, `then` may be the GET that follows it (D200). If anything is unusual, this
-    /// returns false and changes nothing; then the caller takes the small steps.
+    /// Makes a request of the member in one fused step with the members that it concerns (D176, D193). If `request`
+    /// is a REPLY, `then` may be the GET that follows it (D200). If no fused step is possible, returns false and
+    /// changes nothing: the caller then takes the small steps.
     pub fn fuse(
         &mut self,
         requests: (&Request, Option<&Request>),
@@ -30,7 +30,7 @@ impl Turn<'_> {
         }
     }
 
-    /// [`fuse`](Self::fuse). `RECORDS`: whether a member of the domain is recorded.
+    /// As [`fuse`](Self::fuse). `RECORDS`: whether any member of the domain is recorded.
     #[inline(never)]
     fn fuse_by<const RECORDS: bool, S: FusedSignals>(
         &mut self,
@@ -53,7 +53,7 @@ impl Turn<'_> {
                 && self.gather::<RECORDS, _>(request, signals, effects);
         };
         let there = self.homes.at(fusible.other);
-        // If a packet for the other member is still in the queue, that packet comes first.
+        // If a packet for the other member is still queued, the other member must take that packet first.
         if home.domain() != there.domain() || effects.inside.has_input_for(there) {
             return false;
         }
@@ -90,8 +90,8 @@ impl Turn<'_> {
             self.change(there.member());
             return true;
         }
-        // The other member's wait is over, and no other deadline of this member begins. So the expiry that it has
-        // published is not later than its next one, and may stay.
+        // The other member's wait is over, and no other deadline of that member begins. So the deadline that it has
+        // published is at most too early, and need not be published again.
         match there.run_by {
             RunBy::AnyThread => effects.inside.told(there),
             RunBy::TheThreadOfFutures | RunBy::ItsThread => effects.called.push(there.place()),
@@ -100,7 +100,7 @@ impl Turn<'_> {
     }
 }
 
-/// A member takes a GET as one fused step.
+/// Lets a member take a GET in one fused step.
 #[inline(always)]
 fn get<const RECORDS: bool>(
     own: &mut Comm,
@@ -121,9 +121,9 @@ fn get<const RECORDS: bool>(
     done
 }
 
-/// The records of the two tasks of a fused step: the task that asks, and its partner.
+/// The data that the recordings of a fused step's two tasks need: the task that asks, and its partner.
 struct Parts<'a> {
-    /// The records of the task that asks, and of its partner.
+    /// The recording of the task that asks, then that of its partner.
     own: Option<&'a mut Logged>,
     other: Option<&'a mut Logged>,
     /// The packet that the task sends to its partner.
@@ -164,15 +164,15 @@ impl<'a> Parts<'a> {
     }
 }
 
-/// Where the signals of a fused step go.
+/// Receives the signals of a fused step (one that replaces several small steps).
 pub(crate) trait FusedSignals {
-    /// To the task that makes the request.
+    /// Takes a signal to the task that makes the request.
     fn own(&mut self, answer: Completion);
-    /// The signals to the other member, which may have a script.
+    /// Takes a signal to the other task, which may have a script.
     fn other(&mut self, member: usize, script: Option<&mut ScriptRunner>, answer: Completion);
 }
 
-/// The outbox of a fused GET.
+/// The outbox of a GET that is taken in one fused step.
 struct Got<'a, S, const RECORDS: bool> {
     at: Micros,
     ring: &'a mut Ring,
@@ -197,20 +197,20 @@ impl<S: FusedSignals, const RECORDS: bool> NodeOutbox for Got<'_, S, RECORDS> {
     }
 }
 
-/// The outbox of one fused step. A fused step drops no message and sends no packet.
+/// The outbox of one fused step (which replaces several small steps). A fused step drops no message and sends no packet.
 struct Fused<'a, S, const RECORDS: bool> {
     at: Micros,
     task: TaskId,
     /// The rings of observations of the task itself and of the other task.
     rings: (&'a mut Ring, &'a mut Ring),
     signals: &'a mut S,
-    /// Whether the task makes another request once this one is accepted, so that it needs no signal about the
+    /// Whether the task makes another request once this one is accepted. If so, it needs no signal about the
     /// acceptance.
     goes_on: bool,
     other: (usize, &'a mut Option<Box<ScriptRunner>>),
     /// Whether the other task got a signal.
     told: bool,
-    /// `None` without `RECORDS`.
+    /// What the recordings need; `None` without `RECORDS`.
     parts: Option<Parts<'a>>,
 }
 

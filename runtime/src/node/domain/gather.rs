@@ -1,5 +1,5 @@
-//! The arrival of a member at a `waitfor` whose other members are all in the domain, as one fused step (D193). It is recorded as
-//! the small steps for which it stands (D207).
+//! A member's arrival at a `waitfor`, in one fused step, if the other members are in the same domain (D193). The
+//! recording lists the small steps that the fused step replaces (D207).
 
 use super::{FusedSignals, Turn};
 use crate::clock::Micros;
@@ -14,8 +14,8 @@ use imrs_protocol::{
 };
 
 impl Turn<'_> {
-    /// Lets the member arrive at a `waitfor`, as one fused step with all other members of that `waitfor` (D193). `RECORDS`:
-    /// whether a member of the domain is recorded.
+    /// Lets the member arrive at a `waitfor` in one fused step with all other members (D193). `RECORDS`: whether any
+    /// member of the domain is recorded.
     #[inline(never)]
     pub(super) fn gather<const RECORDS: bool, S: FusedSignals>(
         &mut self,
@@ -34,7 +34,7 @@ impl Turn<'_> {
         if RECORDS {
             gathered.record(request, gathering.others());
         }
-        // Only a release changes when another member next acts.
+        // The other members' deadlines change only if this arrival releases them.
         if released {
             gathering.others().for_each(|place| self.change(homes.at(place).member()));
         }
@@ -42,21 +42,22 @@ impl Turn<'_> {
     }
 }
 
-/// The members of a domain during a fused arrival.
+/// The members of a domain during an arrival that is one fused step.
 struct Gathered<'a, S, const RECORDS: bool> {
     at: Micros,
-    /// The home of the task that arrives.
+    /// The home (domain and position) of the task that arrives.
     own: Home,
     members: &'a mut [Comm],
     homes: &'a Homes,
     signals: &'a mut S,
     effects: &'a mut Effects,
-    /// The ARRIVE to the last of the other members. Those to the others differ only in their destination.
+    /// The ARRIVE for the last of the other members. The ARRIVEs for the others have another destination, and are
+    /// equal otherwise.
     packet: Option<Packet>,
 }
 
 impl<S, const RECORDS: bool> Gathered<'_, S, RECORDS> {
-    /// Records the parts of all members that are recorded.
+    /// Records what each member did in this step, for the members that are recorded.
     fn record(self, request: &Request, others: impl Iterator<Item = usize>) {
         if let Some(own) = &mut self.members[self.own.member()].logged {
             own.part(Input::Request(*request), own.digest);
@@ -72,8 +73,8 @@ impl<S, const RECORDS: bool> Gathered<'_, S, RECORDS> {
 }
 
 impl<S: FusedSignals, const RECORDS: bool> Members for Gathered<'_, S, RECORDS> {
-    /// In a recording, the CONFIRMs of members that are released are inputs of their own, and a script takes them only after it has
-    /// gone on.
+    /// False if tasks are recorded: in a recording, the CONFIRMs of released members are inputs of their own, and a
+    /// script takes them only after it has gone on.
     fn may_release(&self) -> bool {
         !RECORDS
     }
@@ -86,7 +87,7 @@ impl<S: FusedSignals, const RECORDS: bool> Members for Gathered<'_, S, RECORDS> 
 
     fn takes_part(&mut self, place: usize) -> bool {
         let there = self.homes.at(place);
-        // A packet that the member has not taken yet must come first.
+        // If a packet for this member is still queued, the member must take that packet first.
         there.domain() == self.own.domain()
             && !self.effects.inside.has_input_for(there)
             && self.members[there.member()].takes_part::<RECORDS>(self.at)
@@ -102,7 +103,8 @@ impl<S: FusedSignals, const RECORDS: bool> Members for Gathered<'_, S, RECORDS> 
     }
 }
 
-/// The outbox of a member in a fused arrival. Such a step drops no message, and uses no Timer.
+/// The outbox of a member when all members of a `waitfor` take one fused step. Such a step drops no message, and uses
+/// no Timer.
 struct Gathers<'a, S, const RECORDS: bool> {
     at: Micros,
     home: Home,
@@ -110,7 +112,7 @@ struct Gathers<'a, S, const RECORDS: bool> {
     is_own: bool,
     ring: &'a mut Ring,
     runner: &'a mut Option<Box<ScriptRunner>>,
-    /// With `RECORDS` the records of the member, and the ARRIVE that the arriving member sent last.
+    /// With `RECORDS`: the recording of this member, and the last ARRIVE of the member that arrives.
     parts: Option<(Option<&'a mut Logged>, &'a mut Option<Packet>)>,
     signals: &'a mut S,
     effects: &'a mut Effects,

@@ -9,8 +9,8 @@
 //!  5    contents, last 4 bytes | sequence 32
 //! ```
 //!
-//! An input that is no packet uses the same places. The checksum with which a packet came over a link is left out: it is for
-//! relays, and the recordings of a communication task leave it out, too.
+//! An input that is not a packet uses the same words for its own fields. The checksum that a packet had on a link is
+//! not stored: only relays need it, and the recordings of a communication task leave it out, too.
 
 use super::{Addressed, Stamped};
 use crate::sync::AtomicU64;
@@ -43,8 +43,8 @@ impl Slotted for Addressed {
         std::array::from_fn(|_| AtomicU64::new(0))
     }
 
-    /// The task's own thread brings its request and takes the lock for that, so a request is never left in an
-    /// inbox.
+    /// `None` for a request: the task's own thread takes the lock to make its request, so it never leaves a request
+    /// in an inbox.
     fn to_words(&self) -> Option<[u64; WORDS]> {
         let at = self.stamped.at;
         // A node has at most 65,536 tasks.
@@ -140,7 +140,7 @@ const fn bytes(bytes: [u8; 8]) -> u64 {
     u64::from_le_bytes(bytes)
 }
 
-/// Sixteen bits of a word, the lowest first.
+/// The 16 bits of `word` that begin at the byte `at`.
 const fn half(word: u64, at: usize) -> u16 {
     let bytes = word.to_le_bytes();
     u16::from_le_bytes([bytes[2 * at], bytes[2 * at + 1]])

@@ -97,8 +97,8 @@ impl Client {
         matches!(self.state, State::Idle | State::Subscribed(_))
     }
 
-    /// Since when the monitor has read nothing or wanted nothing, if that is at least `IDLE` ago: it must then make
-    /// room for another monitor.
+    /// The instant since which the monitor has been idle, if that is at least `IDLE` ago. An idle monitor reads no
+    /// frames or wants none, and must make room for another monitor.
     pub fn idle_since(&self, now: Instant) -> Option<Instant> {
         let is_idle = self.is_served() && !self.is_active();
         (is_idle && now.saturating_duration_since(self.active) >= IDLE).then_some(self.active)
@@ -123,8 +123,8 @@ impl Client {
             self.flush()?;
             self.read(room, now)?;
         }
-        // The time limit is checked only after everything in the socket has been read, because on a busy machine the
-        // observer may be late, not the monitor.
+        // The time limit is checked only after the socket has been read empty: on a busy machine the observer may be
+        // late, not the monitor.
         if let State::Greeting { until } | State::Unproven { until, .. } = self.state
             && until <= now
         {
@@ -198,7 +198,7 @@ impl Client {
                 }
             }
             ClientFrame::Ping(ping) => self.pong = Some(Pong { echo_us: ping.mono_us, mono_us: mono_us() }),
-            // The monitor is allowed to look already, so this frame changes nothing.
+            // The monitor is allowed to look already, so a token or a proof changes nothing.
             ClientFrame::Token(_) | ClientFrame::Proof(_) => {}
         }
     }
@@ -227,7 +227,7 @@ impl Client {
             Err(_) => return Err(Gone),
             Ok((theirs, Handshake::Hello(Hello { role: Role::Monitor, schema, .. }))) => {
                 match agree((VERSION, SCHEMA), (*theirs, *schema)) {
-                    // A monitor of this version cannot prove that it has the token.
+                    // A monitor of so old a version can only send the token, and cannot prove that it has it.
                     Ok(version) if self.showing.token.is_some() && version.minor < PROOFS.minor => {
                         Some(Refusal::OtherMajor { node: VERSION, monitor: *theirs })
                     }
@@ -284,8 +284,8 @@ impl Client {
                 Denied::WrongToken
             }
             (None, _) | (Some(_), Ok(ClientFrame::Proof(_))) if room => return self.admit(),
-            // Another monitor has taken the last free place in the meantime. If this monitor connects again, it gets an
-            // answer that says so.
+            // Another monitor has taken the last free place in the meantime. The connection ends; when this monitor
+            // connects again, the answer says that there is no place.
             (None, _) | (Some(_), Ok(ClientFrame::Proof(_))) => return Err(Gone),
             (Some(_), _) => Denied::NoToken,
         };

@@ -40,8 +40,8 @@ pub(super) struct Subscription {
     more: Option<More>,
 }
 
-/// The kinds of frames. If several have been due since the same instant, the kind that stands first in this list goes
-/// first. So a monitor that gets the state already knows the other nodes and the held-back scripts.
+/// The kinds of frames. Of several frames that have been due since the same instant, the kind first in this list is
+/// sent first. So a monitor that gets the state already knows the other nodes and the held-back scripts.
 #[derive(Clone, Copy)]
 enum What {
     Places,
@@ -69,7 +69,7 @@ struct Following {
 
 /// The frames that versions 1.1, 1.2 and 1.4 added.
 struct More {
-    /// The last snapshot that the monitor got. The next changes are computed from it.
+    /// The last snapshot that the monitor got; the next changes are relative to it.
     told: Option<Arc<Snapshot>>,
     /// Since when the frame about the watched queues is due.
     detail: Option<Instant>,
@@ -81,7 +81,8 @@ struct More {
     late: Seen,
     whole: Option<(Duration, Instant)>,
     places: (Places, Instant),
-    /// Whether the monitor has the list of held-back scripts, and when the list is checked next; `None` for version 1.1.
+    /// Whether the monitor already has the list of held-back scripts, and when the list is checked next; `None` for
+    /// version 1.1.
     held_back: Option<(bool, Instant)>,
 }
 
@@ -126,7 +127,8 @@ impl Subscription {
             hears_links: version.minor >= LINKS.minor,
             links: None,
         });
-        // A frame that is due stays due, however often the monitor subscribes anew.
+        // A new subscription does not postpone a frame of vitals: otherwise a monitor that often subscribes would
+        // never get one.
         let at = more.vitals.map_or(now, |(_, at)| at.min(now));
         let vitals = every(wanted.vitals_us, LEAST_VITALS).map(|every| (every, at));
         let whole = every(wanted.whole_us, period).map(|every| (every, now + every));
@@ -140,8 +142,8 @@ impl Subscription {
         }
     }
 
-    /// Makes the next frame about the state a whole snapshot, because the monitor asked for one. Frames that were due
-    /// before go first.
+    /// Makes the next state frame a whole snapshot, because the monitor asked for one. Frames that were due earlier
+    /// still go first.
     pub fn whole(&mut self, now: Instant) {
         if let Some(more) = &mut self.more {
             more.told = None;
@@ -169,9 +171,9 @@ impl Subscription {
         due.filter(|_| self.credit > 0)
     }
 
-    /// Makes at most one frame, and none while an earlier frame is still being sent. The frame that has been due for longest
-    /// goes first. Otherwise, on a busy machine, the state, which has the shortest period, would delay all other frames for
-    /// ever.
+    /// Makes at most one frame, and none while an earlier frame is still being sent. The frame that has been due for
+    /// longest goes first: otherwise, on a busy machine, state frames, which have the shortest period, would delay
+    /// all others for ever.
     pub fn push(
         &mut self,
         showing: &Showing,

@@ -1,5 +1,5 @@
-//! What is read of the node at one pass over the monitors. Monitors with the same subscription share it, so that the node
-//! is read once and each frame is encoded once, however many monitors there are.
+//! What the observer reads from the node in one pass over its monitors. Monitors with the same subscription share it:
+//! the node is read once and each frame is encoded once, however many monitors there are.
 
 use super::Showing;
 use crate::observe::batch::{Batch, Share};
@@ -17,8 +17,8 @@ const EVENT_ROOM: usize = 512;
 const MAX_EVENTS: usize = 16_384;
 
 pub(super) struct Pass {
-    /// When the observer started. Frames of a period are due at whole periods since then, so that they are due at the same
-    /// instant for all monitors.
+    /// When the observer started. Periodic frames are due at whole periods after this instant, so that they are due
+    /// for all monitors at once.
     started: Instant,
     pub now: Instant,
     places: Option<Places>,
@@ -46,7 +46,7 @@ impl Pass {
         }
     }
 
-    /// Begins the next pass: the node must be read again.
+    /// Begins the next pass, and forgets what was read in the last one.
     pub fn begin(&mut self, now: Instant) {
         self.now = now;
         self.places = None;
@@ -95,7 +95,7 @@ impl Pass {
         Ok(frame)
     }
 
-    /// The frame of the events since the reader's last one; empty if there were none.
+    /// The encoded frame with the events since this reader's last frame; empty if there were none.
     pub fn events(
         &mut self,
         filter: &EventFilter,

@@ -57,8 +57,8 @@ impl AsFd for Listener {
     }
 }
 
-/// Whether the client runs as the same user. The folder and the file's mode already keep other users out; this check also
-/// holds if another program has loosened them.
+/// Whether the client runs as the same user. The folder and the file's mode already keep other users out; this check
+/// still does if another program has loosened them.
 fn same_user(stream: &UnixStream) -> bool {
     rustix::net::sockopt::socket_peercred(stream).is_ok_and(|peer| peer.uid == geteuid())
 }

@@ -93,7 +93,7 @@ pub struct TaskParts {
     pub state: Option<TaskState>,
     /// The changed ports of the task.
     pub ports: Vec<At<PortChange>>,
-    /// The changed `waitfor` ports of the task.
+    /// The task's rendezvous that changed, each by its port.
     pub meetings: Vec<At<MeetingView>>,
 }
 
@@ -122,7 +122,7 @@ pub struct TaskAnew {
     pub state: TaskState,
     /// The task's ports, ascending.
     pub ports: Vec<PortAnew>,
-    /// The task's waitfors, ascending by port.
+    /// The task's rendezvous, ascending by port.
     pub meetings: Vec<MeetingView>,
 }
 

@@ -10,7 +10,7 @@ use std::task::{Context as Poller, Poll};
 /// One request and its answer: the only outstanding communication of the task (R93).
 pub(super) struct Asking<'a, S> {
     context: &'a mut AsyncContext<S>,
-    /// The request to be made next, and the one after it, once that is accepted.
+    /// The request to be made next, and a second request, which is made once the first is accepted.
     next: [Option<Request>; 2],
     stage: Stage,
 }
@@ -23,7 +23,7 @@ enum Stage {
 }
 
 impl<'a, S> Asking<'a, S> {
-    /// A request, after a REPLY if there is one.
+    /// A future that makes `request`. If there is a `reply`, the future makes the reply first.
     pub const fn new(context: &'a mut AsyncContext<S>, reply: Option<Request>, request: Request) -> Self {
         let next = if reply.is_some() { [reply, Some(request)] } else { [Some(request), None] };
         Self { context, next, stage: Stage::New }

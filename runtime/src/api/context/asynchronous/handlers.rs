@@ -9,7 +9,8 @@ use std::rc::Rc;
 use std::time::Duration;
 
 impl<S> AsyncContext<S> {
-    /// From this call on, the handler takes the messages of this port: [`receive`](Self::receive) without a port skips it.
+    /// From this call on, the handler takes the messages of this port. [`receive`](Self::receive) without a port then
+    /// skips this port.
     ///
     /// # Errors
     /// [`Fault::WrongUsage`] if the task does not receive on this port; when the handler runs, [`TaskError::NotThisType`].
@@ -44,7 +45,7 @@ impl<S> AsyncContext<S> {
         })
     }
 
-    /// Messages of this port wait for [`receive`](Self::receive) again.
+    /// From this call on, messages of this port wait for [`receive`](Self::receive) again, and no handler takes them.
     ///
     /// # Errors
     /// The errors of [`on_message`](Self::on_message).
@@ -54,7 +55,7 @@ impl<S> AsyncContext<S> {
         Ok(())
     }
 
-    /// Sets the handler that runs when this timer of the task ends (Figure 3).
+    /// Sets the handler that runs each time this timer of the task expires (Figure 3).
     pub fn on_timer(&mut self, timer: TimeId, handler: impl Fn(&mut S) -> Result<(), TaskError> + 'static) {
         self.timers.retain(|(of, _)| *of != timer);
         self.timers.push((timer, Rc::new(handler)));
@@ -90,7 +91,7 @@ impl<S> AsyncContext<S> {
         Ok(())
     }
 
-    /// Runs the handler for `call`. The communication task gave the call out, and `age` is the time since then.
+    /// Runs the handler for `call`. `age` is the time since the communication task asked for this.
     pub(super) fn interrupted(&mut self, call: Call, age: Ticks) -> Result<(), TaskError> {
         let done = match call {
             Call::Message(message) => {

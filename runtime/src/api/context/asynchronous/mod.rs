@@ -53,27 +53,28 @@ type OnTimer<S> = Rc<dyn Fn(&mut S) -> Result<(), TaskError>>;
 ///
 /// # Dropped futures
 ///
-/// A call makes its request when its future is first polled. The future of a call that waits may be dropped before it is ready, as `select!` does. The communication task then cancels the
-/// wait ([`Request::Cancel`]):
+/// A call makes its request when its future is first polled. The future of a call that waits may be dropped before it
+/// is ready, as `select!` does. The communication task then cancels the wait ([`Request::Cancel`]):
 ///
-/// - a `receive` is taken back. A message that the task was given by then is kept for the next `receive` that it suits,
-///   unless it expires before that;
+/// - a `receive` is cancelled. If the task already has its message, the message is kept for the next `receive` that
+///   accepts it, unless it expires before that;
 /// - a `delay`, or a wait for the `lease`, ends;
-/// - a task that leaves a `waitfor` tells the other members, as on time_out;
+/// - a task that leaves a `waitfor` sends the other members an ABORT, as after a time_out;
 /// - the answer to a command or a query is lost: the other task may have acted.
 ///
 /// # Handlers
 ///
 /// A handler runs where the program waits in a call of this type, as [`order`](Self::order) ranks it. A handler is a
-/// plain function, no future, and gets only the state. A handler that must wait belongs to a task with a thread, or to
-/// a script. If a handler fails, every later call of the program returns its error.
+/// plain function, not a future, and gets only the state. A handler that must wait belongs into a task with a thread,
+/// or into a script. If a handler fails, every later call of the program returns the handler's error.
 pub struct AsyncContext<S = ()> {
     /// The state that the program and its handlers share.
     pub state: S,
     caller: Caller,
     messages: Vec<(PortId, OnMessage<S>)>,
     timers: Vec<(TimeId, OnTimer<S>)>,
-    /// Messages that the task was given for a `receive` whose future was dropped, each with the time of its arrival.
+    /// Received messages whose `receive` was dropped, each with the instant of its arrival. A later `receive` takes
+    /// them.
     kept: Vec<(Delivery, Micros)>,
 }
 
@@ -120,7 +121,8 @@ impl<S> AsyncContext<S> {
         self.caller.named(name)
     }
 
-    /// Sends to all tasks at the other end of the port. Class 1 is ready at once; class 2 waits for the answers.
+    /// Sends to all tasks at the other end of the port. A class-1 send completes at once; a class-2 send waits for
+    /// the answers.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -163,7 +165,7 @@ impl<S> AsyncContext<S> {
         self.received(port, None, time_out).await
     }
 
-    /// As [`receive`](Self::receive), from one source only.
+    /// As [`receive`](Self::receive), but takes only messages of one source.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -176,7 +178,7 @@ impl<S> AsyncContext<S> {
         self.received(port, Some(source), time_out).await
     }
 
-    /// Takes the most urgent message if there is one. Only handlers that are due run before that.
+    /// Takes the most urgent message if there is one. Does not wait, but first runs the handlers that are due.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -184,8 +186,8 @@ impl<S> AsyncContext<S> {
         self.received(port, None, Some(Duration::ZERO)).await
     }
 
-    /// The messages that `work` sends leave together: see [`Context::together`](crate::Context::together). `work` is no
-    /// future, so it cannot wait for answers.
+    /// Lets the messages that `work` sends leave together: see [`Context::together`](crate::Context::together).
+    /// `work` is not a future, so it cannot wait for answers.
     pub fn together<R>(&mut self, work: impl FnOnce(&mut Self) -> R) -> R {
         let before = self.caller.hold(true);
         let done = work(self);
@@ -201,8 +203,8 @@ impl<S> AsyncContext<S> {
         at_once(self.replied(to, contents))
     }
 
-    /// Answers a received class-2 message, and then waits for the next message as [`receive`](Self::receive) does. For a server it does
-    /// what the two calls do, for less: the communication task is entered once.
+    /// Answers a received class-2 message, and then waits for the next message as [`receive`](Self::receive) does.
+    /// This costs less than two calls, because the communication task's lock is taken only once.
     ///
     /// ```no_run
     /// # use imrs_runtime::{AsyncContext, TaskError, protocol::PortId};
@@ -273,7 +275,7 @@ impl<S> AsyncContext<S> {
         self.leased().await
     }
 
-    /// Sets what the answers to the partner's heartbeats carry from here on: at most 8 bytes.
+    /// Sets the data that every later answer to the partner's heartbeats carries: at most 8 bytes.
     ///
     /// # Errors
     /// [`TaskError::TooLong`].
@@ -314,7 +316,8 @@ impl<S> AsyncContext<S> {
         done
     }
 
-    /// Cancels the wait. Handlers that are due run first. A message that the task was given already is kept.
+    /// Cancels the wait of a dropped future. Runs the handlers that are due first. Keeps a message that the task
+    /// already has.
     fn withdraw(&mut self) {
         let mut next = Request::Cancel;
         loop {
@@ -353,7 +356,8 @@ impl<S> Calls for AsyncContext<S> {
         !self.kept.is_empty()
     }
 
-    /// A message that the task was given for a dropped call, and that has not expired.
+    /// Takes a kept message that suits this call and has not expired: it was received for a call that was then
+    /// dropped.
     fn kept(&mut self, port: Option<PortId>, source: Option<TaskId>) -> Option<Delivery> {
         let suits = |delivery: &Delivery| {
             port.is_none_or(|port| port == delivery.from.port)

@@ -9,7 +9,7 @@ use imrs_protocol::{Delivery, PortId, ReplyTo, Target, TaskId};
 use std::time::Duration;
 
 impl<S> AsyncContext<S> {
-    /// Tells all tasks at the other end of a class-1 port. Returns how many copies were accepted.
+    /// Sends a message to all tasks at the other end of a class-1 port. Returns how many copies were accepted.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -93,7 +93,8 @@ impl<S> AsyncContext<S> {
     /// [`reply_and_receive`](Self::reply_and_receive).
     ///
     /// # Errors
-    /// The errors of [`reply`](Self::reply), and then nothing is received; otherwise those of [`take`](Self::take).
+    /// If the reply fails, the errors of [`reply`](Self::reply), and nothing is received; otherwise those of
+    /// [`take`](Self::take).
     pub async fn answer_and_take<R: Message, M: Message>(
         &mut self,
         to: &ReplyTo,

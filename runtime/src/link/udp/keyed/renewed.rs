@@ -1,5 +1,5 @@
-//! Sessions that are renewed under traffic, between nodes on real sockets: every datagram that the network delivers is
-//! taken in, once.
+//! Sessions that are renewed while nodes on real sockets send to each other. Each datagram that the network delivers
+//! must be accepted, and only once.
 
 use super::rig::{Heard, NODES, PATIENCE, bound, keys, packet};
 use crate::link::Link;
@@ -14,12 +14,12 @@ use std::sync::{Mutex, RwLock};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How many datagrams of a node may be under way, so that no socket of the kernel overflows.
+/// The most datagrams of a node that are in flight, so that no socket queue of the kernel overflows.
 const UNDER_WAY: usize = 60;
 /// The pairs of nodes that talk with each other.
 const PAIRS: [(usize, usize); 3] = [(0, 1), (0, 2), (1, 2)];
 
-/// What the network has delivered of one node to another: the counters of each session, by the session's index.
+/// The datagrams of one node that reached another node: by the index of the session, their counters.
 type Delivered = BTreeMap<u32, BTreeSet<u64>>;
 
 /// A network between the three nodes that loses, repeats and delays datagrams.
@@ -28,7 +28,7 @@ struct Network {
     sockets: [[UdpSocket; 3]; 3],
     nodes: [SocketAddr; 3],
     delivered: [[Mutex<Delivered>; 3]; 3],
-    /// How many datagrams are done with: lost, or delivered with their copies.
+    /// How many datagrams are no longer in flight: they were lost, or were delivered with all their copies.
     done: AtomicU64,
 }
 
@@ -53,7 +53,7 @@ impl Network {
         }
     }
 
-    /// Passes on what `from` sends to `to`.
+    /// Forwards what `from` sends to `to`, as the network does.
     fn pass_on(&self, (from, to): (usize, usize), is_over: &AtomicBool) {
         let mut random = fastrand::Rng::with_seed((3 * from + to) as u64);
         let (mut room, mut later) = ([0; 2_000], Vec::<(Instant, Vec<u8>)>::new());
@@ -86,11 +86,11 @@ impl Network {
         if let Ok(Keyed::Transport { index, counter, .. }) = keyed::read(bytes) {
             lock(&self.delivered[from][to]).entry(index).or_default().insert(counter);
         }
-        // It seems to come from the address at which `to` finds `from`.
+        // The datagram leaves from the socket whose address `to` knows as the address of `from`.
         self.sockets[from][to].send_to(bytes, self.nodes[to]).expect("it leaves");
     }
 
-    /// How many datagrams were delivered, without copies.
+    /// How many datagrams were delivered. Copies of one datagram count once.
     fn count(&self, from: usize, to: usize) -> usize {
         lock(&self.delivered[from][to]).values().map(BTreeSet::len).sum()
     }
@@ -108,12 +108,12 @@ fn taken(link: &UdpLink, from: usize) -> usize {
     usize::try_from(peer(link, from).progress().accepted).expect("few")
 }
 
-/// The ways between the nodes.
+/// All ordered pairs of sender and receiver.
 fn both() -> impl Iterator<Item = (usize, usize)> {
     PAIRS.iter().flat_map(|&(a, b)| [(a, b), (b, a)])
 }
 
-/// Whether nothing is under way, and the nodes have taken in all that was delivered.
+/// Whether no datagram is in flight, and the nodes have accepted every datagram that was delivered.
 fn are_taken(links: &[UdpLink; 3], network: &Network) -> bool {
     let kinds = [UdpCount::DatagramsSent, UdpCount::GreetingsSent, UdpCount::HandshakesSent];
     let sent: u64 = links.iter().flat_map(|link| kinds.map(|kind| link.count(kind))).sum();
@@ -121,8 +121,8 @@ fn are_taken(links: &[UdpLink; 3], network: &Network) -> bool {
     is_done && both().all(|(from, to)| taken(&links[to], from) == network.count(from, to))
 }
 
-/// Sends packets to both neighbours until all is over, except while the test holds the lock `may`. Returns how many left
-/// for each node.
+/// Sends packets to both neighbours until `is_over`, but pauses while the test holds the write lock of `may`. Returns
+/// how many packets were sent to each node.
 fn speak(
     me: usize,
     links: &[UdpLink; 3],
@@ -145,8 +145,8 @@ fn speak(
     sent
 }
 
-/// Lets three nodes talk with each other until `is_enough`, and checks what has arrived. `before` changes the nodes once
-/// they have met.
+/// Lets three nodes send to each other until `is_enough`, and checks what arrived. `before` changes the nodes after
+/// each has heard the others.
 fn talk(replace_after: u64, before: impl Fn(&[UdpLink; 3]), is_enough: impl Fn(&Network) -> bool) {
     let keys = keys();
     let links = [0, 1, 2].map(|node| bound(node, &keys));
@@ -184,7 +184,8 @@ fn talk(replace_after: u64, before: impl Fn(&[UdpLink; 3]), is_enough: impl Fn(&
             scope.spawn(move || speak(node, links, network, until))
         });
         wait("they meet", &|| both().all(|(from, to)| taken(&links[to], from) > 20));
-        // `before` may set a counter far ahead. The window would then drop datagrams that are still under way.
+        // `before` may set a counter far ahead. Datagrams still in flight would then lie below the receiver's window
+        // and be dropped.
         let may_not = may.write().expect("no panic");
         wait("all that was delivered is taken in", &|| are_taken(&links, &network));
         before(&links);
@@ -221,8 +222,8 @@ fn sessions_that_are_renewed_ten_times_a_second_lose_nothing() {
     talk(100_000, |_| (), is_enough);
 }
 
-/// In one run the first node of each pair comes to the greatest number of datagrams of a session, and in another run the
-/// second node.
+/// The test runs twice: first the lower node of each pair reaches the greatest number of datagrams of a session, then
+/// the other node.
 #[test]
 fn a_session_is_renewed_after_so_many_datagrams_and_loses_nothing() {
     const MOST: u64 = 1 << 32;
@@ -238,7 +239,7 @@ fn a_session_is_renewed_after_so_many_datagrams_and_loses_nothing() {
                 let (from, to) = if late == 0 { (a, b) } else { (b, a) };
                 let delivered = lock(&network.delivered[from][to]);
                 let after = |counters: &BTreeSet<u64>| counters.range(MOST..).count();
-                // The earlier session goes on for some datagrams, until there is a new one.
+                // The earlier session still carries some datagrams until the new session is ready.
                 let is_renewed = delivered.values().any(|counters| counters.first() > Some(&(MOST - 50)));
                 is_renewed && delivered.values().map(after).sum::<usize>() > 100
             })

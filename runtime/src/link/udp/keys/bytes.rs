@@ -9,17 +9,16 @@ use std::sync::LazyLock;
 static KEYS: LazyLock<[NodeKeys; 2]> = LazyLock::new(keys);
 /// How many datagrams the network holds, at most.
 const FLYING: usize = 64;
-/// Each start of a node takes its counters from a range of this length, so that the counters of two starts
-/// differ.
+/// Each start of a node takes its counters from a range of this length, so that no two starts use the same counter.
 const COUNTERS: u64 = 1 << 33;
 
-/// A network that treats datagrams as the bytes of the fuzzer say.
+/// A network that handles datagrams as the fuzzer's bytes command.
 struct Network<'a> {
     bytes: &'a [u8],
     ends: [End; 2],
     now: u64,
     starts: u64,
-    /// The end that sends nothing by itself once the network is well again, if only one end sends.
+    /// The end that sends nothing by itself after the faults have ended; `None` if both ends send.
     silent: Option<usize>,
     /// The datagrams in flight: to which end, and their bytes.
     flying: Vec<(usize, Vec<u8>)>,
@@ -29,8 +28,8 @@ struct Network<'a> {
 /// bytes of the fuzzer say.
 ///
 /// # Panics
-/// If an end accepts a counter that the other end has not used, or one counter twice; or if the two ends do
-/// not hear each other once the network leaves their datagrams alone.
+/// If an end accepts a counter that the other end has not used, or accepts one counter twice; or if the two ends do
+/// not receive from each other after the network's faults have ended.
 pub fn check(bytes: &[u8]) {
     let silent = bytes.first().and_then(|&first| [None, Some(0), Some(1)][usize::from(first) % 3]);
     let mut net = Network { bytes, ends: ends(&KEYS), now: 0, starts: 100, silent, flying: Vec::new() };
@@ -120,15 +119,15 @@ impl Network<'_> {
         self.send(1 - to, reply);
     }
 
-    /// The node starts again with its keys. Datagrams that were sent before may still arrive.
+    /// Restarts the node with the same keys. Datagrams from before the restart may still arrive.
     fn restart(&mut self, me: usize) {
         self.starts += 1;
         self.ends[me] = end(&KEYS, me, self.starts, super::rig::DIGESTS);
         self.ends[me].counter = self.starts * COUNTERS;
     }
 
-    /// From now on the network loses and changes nothing: each end that is sent something must hear it within
-    /// half a minute. An end that sends nothing by itself asks for a session if it has none, and repeats its
+    /// Lets the nodes talk while the network loses and changes nothing: each end must receive within half a minute
+    /// what is sent to it. An end that sends nothing by itself asks for a session if it has none, and repeats its
     /// greeting.
     fn talk(&mut self) {
         self.flying.clear();

@@ -13,16 +13,17 @@ use snow::HandshakeState;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// After how long the first attempt at a session is given up, in microseconds. Each further attempt gets twice as long
-/// as the one before.
+/// How long the first attempt at a session may take, in microseconds. Each further attempt may take twice as long as
+/// the one before.
 const RETRY: u64 = 50_000;
-/// The longest time after which an attempt at a session is given up, in microseconds.
+/// The longest time that an attempt at a session may take, in microseconds.
 const LONGEST_RETRY: u64 = 1_600_000;
-/// After this many first datagrams that another cell's key closed, the keys differ. They come within 150 ms.
+/// This many first datagrams under another cell's key, without one under this cell's key, mean that the keys differ.
+/// The attempts of a neighbour bring as many within 150 ms.
 const HINTS: u8 = 3;
 /// The length of a span, in microseconds. A cookie is valid in the span in which it was made, and in the next one.
 const COOKIE_SPAN: u64 = 10_000_000;
-/// How many answered initiations are kept, at most, to answer copies alike.
+/// How many answered initiations are kept at most, so that a copy of an initiation gets the same answer.
 const ANSWERED: usize = 64;
 
 type Nonce = [u8; NONCE_BYTES];
@@ -51,11 +52,11 @@ pub(in crate::link::udp) struct Channel {
     /// The age at which this node replaces a session that it asked for, in microseconds.
     pub(in crate::link::udp) replace_after: u64,
     pub(super) making: Option<Making>,
-    /// When the present attempt at a session began, and how long it may take.
+    /// When the current attempt at a session began, and how long it may take, in microseconds.
     pub(super) tried: Option<(u64, u64)>,
-    /// When the neighbour was last greeted again, and after how long the next greeting is due.
+    /// When the neighbour was last greeted again, and how long after that the next greeting is due, in microseconds.
     pub(super) greeted: Option<(u64, u64)>,
-    /// How many first datagrams of handshakes came that another cell's key closed, since one that this cell's key closed.
+    /// How many first datagrams of handshakes came under another cell's key since the last one under this cell's key.
     strange: u8,
     pub(super) answered: VecDeque<(Nonce, HandshakeBytes)>,
 }
@@ -74,7 +75,7 @@ pub(in crate::link::udp) enum Answer {
     Nothing,
     /// This datagram must be sent to the neighbour.
     Send(HandshakeBytes),
-    /// A session was made. The neighbour uses it once it has received a datagram that this session closed.
+    /// A session was made. The neighbour uses it once it has received a datagram under the session's keys.
     Made,
     /// The two nodes cannot communicate. `here` is true if this node says so, false if the neighbour does. `reply` must
     /// be sent to the neighbour.
@@ -123,8 +124,8 @@ impl Channel {
         }))
     }
 
-    /// The session whose keys encrypt the datagrams that this node sends: the newest session that the
-    /// neighbour has, too.
+    /// The session whose keys encrypt the datagrams that this node sends: the newest session whose keys the neighbour
+    /// has, too.
     pub(in crate::link::udp) fn sending(&self) -> Option<&Arc<Live>> {
         self.sessions.sending()
     }
@@ -148,8 +149,8 @@ impl Channel {
         is_news
     }
 
-    /// Whether the neighbour may not know of the session in which this node sends, because the neighbour has
-    /// sent nothing in it yet.
+    /// Whether the neighbour may not have the session in which this node sends: no datagram of the neighbour in it
+    /// has come.
     pub(in crate::link::udp) fn is_unanswered(&self) -> bool {
         self.sending().is_some_and(|live| live.is_unanswered())
     }
@@ -171,12 +172,12 @@ impl Channel {
         self.sending().is_none_or(|live| live.is_old(now, counter, self.replace_after))
     }
 
-    /// The request of the present attempt, to be sent once more. The attempt goes on.
+    /// The request of the current attempt once more, so that it can be sent again. The attempt goes on.
     pub(in crate::link::udp) fn hello_again(&self) -> Option<HandshakeBytes> {
         self.making.as_ref().map(|making| self.close(making.nonce, Step::Hello(self.digests)))
     }
 
-    /// Begins an attempt at a session, unless one is under way.
+    /// Begins an attempt at a session, unless one is running. Returns its first datagram.
     pub(in crate::link::udp) fn knock(&mut self, now: u64) -> Option<HandshakeBytes> {
         let within = match self.tried {
             Some((at, within)) if now.saturating_sub(at) < within => return None,
@@ -223,8 +224,8 @@ impl Channel {
         }
     }
 
-    /// A datagram that is authenticated with another cell's key proves nothing. While there is no session, several of them
-    /// are a hint for the users. A single one may have been damaged by the network.
+    /// Handles a datagram under another cell's key. It proves nothing, and the network may have damaged it. Several
+    /// of them, while there is no session, are a hint for the users.
     fn unclosed(&mut self, said: &Handshake<'_>) -> Result<Answer, LinkDiscard> {
         let other_keys = Refused::OtherKeys as u8;
         let awaited = self.making.as_ref().is_some_and(|making| making.nonce == said.nonce);

@@ -1,4 +1,4 @@
-//! Tests which sessions last and which ones are over: under restarts, late and lost datagrams, and if both
+//! Tests which sessions stay valid and which ones end: under restarts, with late and lost datagrams, and if both
 //! nodes ask for a session at once.
 
 use super::rig::{DIGESTS, End, MS, acquainted, end, ends, keys};
@@ -27,8 +27,7 @@ fn a_neighbour_that_starts_again_ends_its_earlier_session_and_no_old_one_comes_b
     assert_eq!(ends[1].channel.sending().unwrap().index, now);
 }
 
-/// A session for which the second end asked after it was started again. The first datagram in this session is
-/// lost.
+/// Two ends with a session. The second end asked for it after a restart, and the first datagram in it is lost.
 fn unanswered(keys: &[NodeKeys; 2]) -> [End; 2] {
     let mut ends = ends(keys);
     acquainted(&mut ends, 0);
@@ -41,8 +40,8 @@ fn unanswered(keys: &[NodeKeys; 2]) -> [End; 2] {
     ends
 }
 
-/// Otherwise one node would go on in the session with the neighbour's earlier start, and the other node in a
-/// session that its neighbour has forgotten.
+/// If the session ended, one node would send in a session with an earlier start of its neighbour, and the other node
+/// in one that its neighbour has forgotten.
 #[test]
 fn a_session_is_used_however_late_its_first_datagram_comes_until_it_is_replaced() {
     let keys = keys();
@@ -63,8 +62,7 @@ fn a_session_is_used_however_late_its_first_datagram_comes_until_it_is_replaced(
     assert_eq!(ends[1].knock(10_500 * MS), None, "who has one asks for none");
 }
 
-/// A node that only receives sends nothing else than greetings, so a greeting must let the neighbour know of
-/// a new session.
+/// A node that only receives sends nothing but greetings. So a greeting must let the neighbour know of a new session.
 #[test]
 fn a_greeting_is_repeated_until_the_neighbour_uses_the_session() {
     let mut ends = unanswered(&keys());
@@ -115,7 +113,7 @@ fn two_that_ask_at_once_hear_each_other_for_as_long_as_they_run() {
     }
 }
 
-/// The answer of the earlier start was still in flight, or an attacker has held it back.
+/// The answer of the earlier start was still in flight, or an attacker has delayed it.
 #[test]
 fn an_answer_of_an_earlier_start_ends_no_later_session_whenever_it_comes() {
     let keys = keys();

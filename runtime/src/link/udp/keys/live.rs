@@ -12,17 +12,17 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// The age at which the initiator of a session replaces it, in microseconds.
 pub(super) const REPLACE_AFTER: u64 = 3_600_000_000;
-/// How much longer the responder of a session waits before it replaces the session itself, in microseconds.
+/// How much longer than the initiator the responder waits before it replaces the session itself, in microseconds.
 const PATIENCE: u64 = 60_000_000;
 /// The number of datagrams after which a session is replaced.
 const REPLACE_AFTER_DATAGRAMS: u64 = 1 << 32;
-/// If the neighbour has sent nothing in a session for this long, the node that asked for the session replaces
-/// it.
+/// If the neighbour has sent nothing in a session for this long (in microseconds), the node that asked for the
+/// session replaces it.
 const ANSWERED_WITHIN: u64 = 10_000_000;
-/// For something that has not happened.
+/// The value of an instant or a counter for something that has not happened.
 const NEVER: u64 = u64::MAX;
 
-/// A session whose keys both nodes can have.
+/// A session: both nodes can compute its keys.
 pub(in crate::link::udp) struct Live {
     /// The indices of the session: this node's, and the neighbour's.
     pub(super) index: u32,
@@ -107,7 +107,7 @@ impl Live {
         Ok(keyed::open(&room[..length], counter, &self.bound)?)
     }
 
-    /// When the neighbour was first heard, and the counters that came.
+    /// When the neighbour first sent in this session, and the window of received counters.
     #[cfg(test)]
     pub(super) fn state(&self) -> (u64, ReplayWindow) {
         (self.heard.load(Ordering::Acquire), lock(&self.window).clone())
@@ -118,7 +118,7 @@ impl Live {
         self.heard.compare_exchange(NEVER, now, Ordering::AcqRel, Ordering::Acquire).is_ok()
     }
 
-    /// When the neighbour was first heard in this session.
+    /// When the first datagram of the neighbour in this session came; `None` before.
     pub(super) fn heard(&self) -> Option<u64> {
         Some(self.heard.load(Ordering::Acquire)).filter(|&at| at != NEVER)
     }
@@ -141,15 +141,15 @@ impl Live {
         (self.index as u16, self.theirs as u16)
     }
 
-    /// Whether this node took part in the handshake of this session later than in that of `other`.
+    /// Whether this session's handshake was later, by this node's own count, than that of `other`.
     pub(super) fn is_begun_after(&self, other: &Self) -> bool {
         is_later(self.numbers().0, other.numbers().0)
     }
 
-    /// Whether this session counts as made after `other`, which is between the same starts of both nodes. If
-    /// both nodes ask at once, each takes part first in the handshake that it asked for, so the two disagree
-    /// on which session is the newer one. But the sum of both nodes' numbers is the same at both nodes, and a
-    /// session that is later for both nodes has the greater sum.
+    /// Whether this session counts as made after `other`, which is between the same starts of both nodes. If both
+    /// nodes ask for a session at once, each counts its own handshake first, so their own counts disagree on which
+    /// session is newer. But the sum of both nodes' numbers is the same at both nodes, and a session that is later
+    /// for both nodes has the greater sum.
     pub(super) fn is_after(&self, other: &Self) -> bool {
         let sum = |(own, theirs): (u16, u16)| own.wrapping_add(theirs);
         let of_lower = |live: &Self| {
@@ -160,8 +160,8 @@ impl Live {
         if one == two { is_later(of_lower(self), of_lower(other)) } else { is_later(one, two) }
     }
 
-    /// Whether it is time to replace the session, if the next datagram has this counter. The initiator replaces it at
-    /// the age `after`.
+    /// Whether to replace the session before the datagram with this counter is sent. The initiator replaces a session
+    /// of the age `after`.
     pub(super) fn is_old(&self, now: u64, counter: u64, after: u64) -> bool {
         let after = if self.is_initiator { after } else { after + PATIENCE };
         let first = self.first.load(Ordering::Relaxed);
@@ -170,7 +170,7 @@ impl Live {
     }
 }
 
-/// Whether a number comes after another one, where numbers wrap around.
+/// Whether a number is later than another one; numbers wrap around.
 const fn is_later(number: u16, than: u16) -> bool {
     number.wrapping_sub(than).cast_signed() > 0
 }

@@ -1,7 +1,8 @@
-//! Keys between nodes: which nodes may make a session with each other, and how the datagrams of a session are closed (D191).
+//! Keys between nodes: which nodes can make a session with each other, and how a session protects its datagrams
+//! (D191).
 //!
-//! Nothing here has a socket or reads a clock. A `Channel` makes the sessions with one neighbour, and a `Live` session closes and
-//! opens datagrams. The handshake is Noise KKpsk0, behind an exchange of a cookie:
+//! This module has no socket and reads no clock. A `Channel` makes the sessions with one neighbour. A `Live` session
+//! closes (encrypts) and opens datagrams. The handshake is Noise KKpsk0, and an exchange of a cookie comes before it:
 //!
 //! ```text
 //! initiator                      responder
@@ -12,9 +13,9 @@
 //!   a datagram             --->    the responder uses it from here on
 //! ```
 //!
-//! A hash with the cell's key closes each datagram of a handshake. So a datagram of a process without that key costs
-//! one hash. A cookie is valid for some seconds within one start of the responder. So a recorded initiation costs one
-//! hash more, and the responder never computes or keeps anything for it.
+//! Each datagram of a handshake carries a hash with the cell's key. So a datagram of a process without that key costs
+//! the receiver one hash. A cookie is valid for some seconds, within one start of the responder. So a recorded
+//! initiation costs one more hash, and the responder computes and keeps nothing else for it.
 
 #[cfg(any(test, feature = "fuzzing"))]
 pub mod bytes;

@@ -1,4 +1,5 @@
-//! The cryptography behind the handshakes: X25519 by `curve25519-dalek`, BLAKE2s by `blake2`, the cipher and random numbers by `ring`.
+//! The cryptography behind the handshakes: X25519 by `curve25519-dalek`, BLAKE2s by `blake2`, and the cipher and random
+//! numbers by `ring`.
 //!
 //! `snow` has the first two itself, but only together with a second cipher (D203). Here the private keys are erased, too.
 

@@ -96,7 +96,7 @@ impl End {
 
 #[cfg(test)]
 impl Channel {
-    /// Everything that a datagram might change here, except the hints for people.
+    /// Everything that a datagram might change in this channel, except the hints for people.
     pub(in crate::link::udp) fn state(&self) -> String {
         let windows: Vec<_> = self.sessions.iter().map(|live| (live, live.state())).collect();
         let making =

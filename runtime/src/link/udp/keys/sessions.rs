@@ -3,13 +3,13 @@
 use super::Live;
 use std::sync::Arc;
 
-/// How long a session is kept after the neighbour was heard in a newer one, for datagrams that are still on
-/// their way.
+/// How long a session is kept after a datagram of the neighbour came in a newer one, because datagrams of the older
+/// session may still be in flight. In microseconds.
 const KEPT: u64 = 10_000_000;
 /// How many sessions are kept, at most.
 const SESSIONS: usize = 8;
 
-/// The sessions with one neighbour. All sessions in which the neighbour was heard belong to one start of the
+/// The sessions with one neighbour. All sessions in which the neighbour has sent belong to one start of the
 /// neighbour.
 pub(super) struct Sessions(Vec<Arc<Live>>);
 
@@ -28,8 +28,9 @@ impl Sessions {
         self.newest(Live::is_confirmed)
     }
 
-    /// The newest session in which the neighbour was heard. The neighbour sends in the newest session that it
-    /// knows this node to have. So it uses no older session any more, but may not yet know of a newer one.
+    /// The newest session in which the neighbour has sent. The neighbour sends in the newest session that it knows
+    /// this node to have. So it does not use older sessions any more, but may not know yet that this node has a newer
+    /// one.
     fn used(&self) -> Option<&Arc<Live>> {
         self.newest(|live| live.heard().is_some())
     }
@@ -44,8 +45,8 @@ impl Sessions {
         self.0.iter().any(|one| Arc::ptr_eq(one, live))
     }
 
-    /// Adds a session. If there are too many, the oldest session is removed in which neither this node nor,
-    /// as far as is known, the neighbour sends.
+    /// Adds a session. If there are too many, removes the oldest one in which neither node sends. Of the neighbour
+    /// this is known only as far as its datagrams show.
     pub(super) fn add(&mut self, live: Live) {
         if self.0.len() == SESSIONS {
             let needed = [self.sending(), self.used()];
@@ -66,9 +67,9 @@ impl Sessions {
         is_news
     }
 
-    /// Ends the sessions with earlier starts of the neighbour, because a node runs only once at a time. In
-    /// each confirmed session the neighbour has answered this node. So of two starts of the neighbour, the
-    /// later one is that in whose session this node took part later.
+    /// Ends the sessions with earlier starts of the neighbour: only one start of a node runs at a time. In each
+    /// confirmed session the neighbour has answered this node. So of two starts of the neighbour, the later one is
+    /// that whose session this node began later.
     fn end_earlier_starts(&mut self) {
         let confirmed = self.0.iter().filter(|live| live.is_confirmed());
         let latest = confirmed.reduce(|latest, live| if live.is_begun_after(latest) { live } else { latest });

@@ -6,7 +6,7 @@ use crate::link::LinkDiscard;
 use imrs_wire::envelope::keyed::{self, Keyed};
 use imrs_wire::envelope::{Digests, Refused};
 
-/// Some milliseconds of both nodes, with a network that loses, repeats and reorders datagrams.
+/// Runs two nodes for some milliseconds, with a network that loses, repeats and reorders datagrams.
 struct Net {
     random: fastrand::Rng,
     /// The datagrams in flight: the time of arrival, the receiving node, the bytes.
@@ -73,7 +73,7 @@ fn a_new_session_under_traffic_loses_nothing() {
     let mut net = Net { random: fastrand::Rng::with_seed(1), flying: Vec::new(), loss: 0.0, copies: 0.2 };
     let mut sessions = std::collections::BTreeSet::new();
     for round in 1..=4 {
-        // The round begins just before a session is old; a datagram is sent each 2 ms.
+        // This round begins just before a session becomes too old; a datagram is sent every 2 ms.
         let from = round * 3_600_000 * MS - 100 * MS;
         for now in (from..from + 400 * MS).step_by(2_000) {
             for me in [0, 1] {
@@ -102,7 +102,7 @@ fn first_datagrams_that_were_damaged_do_not_say_that_keys_differ() {
     for at in 0..20 {
         let at = at * 10_000 * MS;
         let mut hello = ends[0].knock(at).unwrap();
-        // One bit of the digest of the declarations, or of the tag.
+        // Flips one bit: of the digest of the declarations, or of the authentication tag.
         let last = hello.len() - 1 - usize::from(at.is_multiple_of(3));
         hello[last] ^= 1;
         assert_eq!(ends[1].take(&hello, at), Err(LinkDiscard::OtherKeys));

@@ -1,5 +1,5 @@
-//! A forger against whole links with keys: everything that a datagram goes through after the socket. What a node knows
-//! of its neighbours stays as it was, and genuine datagrams go on to arrive.
+//! A forger attacks whole links with keys: these tests cover everything that a datagram passes after the socket. The
+//! forger must not change what a node knows of its neighbours, and genuine datagrams must still arrive.
 
 mod forger;
 mod scene;
@@ -38,7 +38,7 @@ fn attacked() -> (Scene, Forger) {
     (Scene::new(&keys), forger)
 }
 
-/// Forged datagrams lead at most to hints for people, and to none about a neighbour with a session.
+/// Asserts that forged datagrams led only to hints for people, and to none about a neighbour with a session.
 fn are_hints(scene: &Scene) {
     for refusal in scene.links.iter().flat_map(|link| link.refusals()) {
         let hints = [Refused::OtherKeys, Refused::OtherMode, Refused::OtherVersion];
@@ -46,7 +46,7 @@ fn are_hints(scene: &Scene) {
     }
 }
 
-/// What came of forged datagrams.
+/// Counts the results of forged datagrams.
 #[derive(Default)]
 struct Thrown {
     spent: Duration,
@@ -79,7 +79,8 @@ fn a_forger_with_all_but_the_keys_changes_nothing_that_a_link_knows() {
     for batch in 0..batches {
         throw(&scene, &mut forger, batch, &mut thrown);
         scene.talks(&thrown.last);
-        // A cookie of the handshake is of the present span at first, then of the one before, and then it is too old.
+        // Time passes twice. A cookie of the handshake is first of the current span, then of the one before, and then
+        // too old.
         if [batches / 3, 2 * batches / 3].contains(&batch) {
             scene.later(Duration::from_secs(10));
         }
@@ -102,7 +103,7 @@ fn a_forger_with_all_but_the_keys_changes_nothing_that_a_link_knows() {
     for reason in ["forged", "mode", "replayed", "other_keys", "stale_session", "version"] {
         assert!(reasons.get(reason).is_some_and(|&count| count > 0), "{reason} was not put to the test");
     }
-    // A genuine datagram that was held back meanwhile is taken in, and once.
+    // The network has delayed a genuine datagram until now: the node must still accept it, and only once.
     assert_eq!(scene.links[0].send(ENDS[1], &[packet(0, 1, 1 << 20)]), Ok(1));
     let late = scene.taken(1).expect("it left");
     scene.recorded.retain(|(_, bytes)| *bytes != late);
@@ -128,7 +129,7 @@ fn copies_of_a_request_for_a_session_draw_64_answers_in_50_ms() {
     assert!((64..=64 * spans).contains(&answers), "{answers} answers in {spans} spans");
 }
 
-/// The id of a user who has no part in the nodes.
+/// The id of another user of this computer, who does not run the nodes.
 const OTHER: u32 = 61_002;
 
 /// Whether this process may act as another user. If not, the test is skipped with a message; with `IMRS_REQUIRE_ALL=1`
@@ -143,7 +144,7 @@ fn may_be_another() -> bool {
     may
 }
 
-/// Sends datagrams as another user of the machine, each as soon as it is asked to.
+/// Sends, as another user of this computer, each datagram that the channel `asked` brings.
 fn another_user(asked: Receiver<(SocketAddr, Vec<u8>)>, sent: &Sender<usize>) {
     let (user, group) = (Uid::from_raw(OTHER), Gid::from_raw(OTHER));
     set_thread_groups(&[]).expect("no groups");

@@ -13,7 +13,7 @@ use std::net::SocketAddr;
 
 /// The number of kinds of forged datagrams.
 const KINDS: u64 = 15;
-/// The positions in a datagram of the receiver's index of the session, of the counter, of the kind, and of the nonce of a handshake.
+/// Where a datagram has the receiver's index of the session, the counter, the kind, and the nonce of a handshake.
 const INDEX_AT: std::ops::Range<usize> = 4..8;
 const COUNTER_AT: std::ops::Range<usize> = 8..15;
 const KIND_AT: usize = 15;
@@ -71,7 +71,7 @@ impl Forger {
             }
             // A datagram that the neighbour never sent, closed with the keys of the forger's cell.
             8..=10 => (me, self.closed(me, at)),
-            // The same in the mode without keys, with the right digests, and perhaps the right session.
+            // The same without keys: with the right digests, and perhaps the right session.
             11 => (me, self.plain(me, at)),
             // A datagram of a handshake that an attempt of this node awaits, or a request.
             12 | 13 => (me, self.handshake(me, at)),
@@ -92,8 +92,8 @@ impl Forger {
         from[self.random.usize(..count)].clone()
     }
 
-    /// An envelope with the next incarnation, a clock that is far ahead, an echo of a time that never was, the end of
-    /// the counters, or a goodbye.
+    /// An envelope that is wrong in one way: the next incarnation, a clock far ahead, an echo of an instant that
+    /// never was, the last possible counter, or a goodbye.
     fn envelope(&mut self, to: usize, at: &Scene) -> Envelope {
         let clocks = [0, 5, 1 << 40, u64::MAX];
         let next = lock(&at.links[1 - to].peers[0].outgoing).counter;
@@ -126,8 +126,8 @@ impl Forger {
         }
     }
 
-    /// A datagram with this envelope, not sealed yet. Its packet would release the members of a rendezvous, or would
-    /// be the neighbour's next one.
+    /// A datagram with this envelope, not sealed yet. Its packet would release the members of a rendezvous, or is the
+    /// packet that the neighbour would send next.
     fn filled(&mut self, to: usize, envelope: &Envelope, at: &Scene) -> Datagram {
         let mut datagram = Datagram::default();
         if envelope.purpose == Purpose::Packets {
@@ -152,7 +152,7 @@ impl Forger {
         bytes
     }
 
-    /// The index of one of the two sessions at a node, as it was seen in clear.
+    /// The index that a node has given one of the two sessions. The forger has read it, because it is not encrypted.
     fn index(&mut self, to: usize, at: &Scene) -> u32 {
         let is_of_session = |(of, bytes): &&(usize, Vec<u8>)| *of == to && bytes[KIND_AT] == 0;
         let (_, seen) = at.recorded.iter().rfind(is_of_session).expect("a datagram");

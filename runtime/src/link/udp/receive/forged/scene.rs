@@ -1,5 +1,5 @@
-//! Two nodes with keys, and the network between them in the hands of an attacker: what a node sends arrives in a socket
-//! of the attacker, who hands it to the other node, or keeps it.
+//! Two nodes with keys, and an attacker who controls the network between them. The attacker's sockets receive what a
+//! node sends. The attacker hands it to the other node, or keeps it.
 
 use super::super::{Received, Together};
 use crate::link::residency::Reading;
@@ -15,11 +15,11 @@ use std::time::{Duration, Instant};
 
 /// The two nodes.
 pub const ENDS: [NodeId; 2] = [NODES[0], NODES[1]];
-/// A neighbour of both that never answers. Each of the two waits for a session with it.
+/// A neighbour of both nodes that never answers, so that both wait for a session with it.
 pub const SILENT: NodeId = NODES[2];
 /// How many datagrams of one start of the two nodes the attacker keeps.
 const KEPT: usize = 800;
-/// What only genuine datagrams may change in the counters of a link.
+/// The counters of a link that only genuine datagrams may change.
 const COUNTS: [UdpCount; 8] = [
     UdpCount::PacketsReceived,
     UdpCount::NewIncarnations,
@@ -37,7 +37,7 @@ pub struct Scene {
     /// The sockets at which the datagrams for each of the two nodes arrive.
     wires: [UdpSocket; 2],
     silent: UdpSocket,
-    /// Datagrams, each with the node for which it is: the first ones of this start, and the newest ones.
+    /// Datagrams with their receiving node: the first ones of this start, and the newest ones.
     pub recorded: Vec<(usize, Vec<u8>)>,
     /// The requests of the two nodes for a session with the silent neighbour.
     pub asked: [Vec<u8>; 2],
@@ -84,7 +84,7 @@ impl Scene {
         scene
     }
 
-    /// The first node asks for another session, and never gets the answer.
+    /// Makes the first node ask for another session; the attacker holds back the answer.
     pub fn asks_again(&mut self) {
         let now = self.links[0].micros(Instant::now());
         let hello = lock(&self.links[0].peers[0].channel).as_mut().and_then(|channel| channel.knock(now));
@@ -127,7 +127,7 @@ impl Scene {
         Some(bytes)
     }
 
-    /// Forgets what lies in the sockets, such as answers that a forger has drawn.
+    /// Empties the attacker's sockets, which may hold, for example, answers to forged datagrams.
     pub fn empty_the_wires(&self) {
         let mut bytes = [0; 2_000];
         for socket in self.wires.iter().chain([&self.silent]) {
@@ -150,8 +150,8 @@ impl Scene {
         }
     }
 
-    /// Datagrams of this length arrive at a node in one call, from the address of a neighbour or from a stranger. Returns
-    /// how many of them the node took in.
+    /// Lets datagrams of this length arrive at a node in one call, from a neighbour's address or from a stranger's.
+    /// Returns how many of them the node accepted.
     pub fn arrives(&self, to: usize, from: Option<SocketAddr>, (bytes, segment): (&[u8], usize)) -> usize {
         let link = &self.links[to];
         link.with_room(|room| {
@@ -172,8 +172,8 @@ impl Scene {
         })
     }
 
-    /// Each node sends a packet, and the other one gets it. The kernel has merged each datagram with forged ones of the
-    /// same length, if there are any.
+    /// Lets each node send a packet to the other, and asserts that it arrives. If `forged` is not empty, it arrives
+    /// in the same call, as if the kernel had merged it with the genuine datagram.
     pub fn talks(&mut self, forged: &[u8]) {
         self.empty_the_wires();
         for from in [0, 1] {
@@ -200,7 +200,7 @@ impl Scene {
         }
     }
 
-    /// Lets a node take in what has come to its sockets, which is something.
+    /// Lets a node receive until it has taken at least one datagram from its sockets.
     pub fn takes_in(&self, me: usize) {
         let end = Instant::now() + PATIENCE;
         while self.links[me].poll(&self.heard[me], Some(end)) != PollEnd::Received {
