@@ -271,6 +271,7 @@ fn measure(name: &str, cell: &mut Text, seconds: u64) {
     cell.plan.budget = Budget { seconds: Duration::from_secs(seconds).as_secs_f64(), ..Budget::default() };
     cell.plan.zones =
         usize::try_from(number("IMRS_ZONES", cell.plan.zones as u64)).expect("a number of zones");
+    cell.plan.jobs = usize::try_from(number("IMRS_JOBS", 1)).expect("a number of threads");
     let every = std::env::var("IMRS_EVERY").is_ok().then_some(Times::Every);
     for times in std::iter::once(Times::Zones).chain(every) {
         cell.plan.times = times;

@@ -1,8 +1,11 @@
 //! Difference-bound matrices over integers: each describes a set of points by bounds on differences of variables.
 
 mod bounds;
+mod minimal;
 
 use bounds::Bounds;
+use minimal::Bound;
+pub(crate) use minimal::KeptZones;
 use std::fmt;
 
 /// The value that stands for no bound.
@@ -176,12 +179,7 @@ impl Dbm {
         // Each point of the hull outside the first set breaks a bound of the first set that is tighter than the hull's.
         // For each such bound, all points of the hull that break it must be in the second set. Among these points, the
         // bound for a pair is the lesser of the hull's bound and the path over the broken bound.
-        type Tighter = (usize, usize, i64);
-        fn is_outside(
-            hull: impl Fn(usize, usize) -> i32,
-            (i, j, mine): Tighter,
-            (k, l, bound): Tighter,
-        ) -> bool {
+        fn is_outside(hull: impl Fn(usize, usize) -> i32, (i, j, mine): Bound, (k, l, bound): Bound) -> bool {
             plus(hull(k, j), plus(hull(i, l), -mine - 1)) > bound
         }
         // Most pairs of sets fail at the first two bounds, before there is a hull.
@@ -199,7 +197,7 @@ impl Dbm {
     }
 
     /// The bounds that are less than those of another set over the same variables.
-    fn tighter(&self, than: &Self) -> impl Iterator<Item = (usize, usize, i64)> {
+    fn tighter(&self, than: &Self) -> impl Iterator<Item = Bound> {
         let both = self.bounds.iter().zip(&*than.bounds).enumerate();
         let less = both.filter(|(_, (mine, others))| mine < others);
         less.map(|(at, (&mine, _))| (at / self.len, at % self.len, mine.into()))
@@ -247,8 +245,7 @@ impl Dbm {
 
 impl fmt::Debug for Dbm {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let pairs = (0..self.len).flat_map(|i| (0..self.len).map(move |j| (i, j))).filter(|(i, j)| i != j);
-        let bounds = pairs.filter_map(|(i, j)| Some(format!("x{i} - x{j} <= {}", self.bound(i, j)?)));
+        let bounds = self.bounds().map(|(i, j, bound)| format!("x{i} - x{j} <= {bound}"));
         f.debug_list().entries(bounds.map(|bound| fmt::from_fn(move |f| f.write_str(&bound)))).finish()
     }
 }

@@ -1,8 +1,8 @@
 //! Picks times for a path that the search by zones found, and replays the path on plain ticks.
 
+use super::origins::Origin;
 use super::runner::{From, Run, puts_off};
 use super::search::{Hit, Search, is_sampled};
-use super::store::Origin;
 use crate::cell::judge::Shown;
 use crate::cell::plan::{CellFaults, CellPlan};
 use crate::cell::run_state::CellMove;
@@ -45,7 +45,7 @@ pub fn moves_to(
     search: &mut Search,
     state: u32,
 ) -> Option<Vec<CellMove>> {
-    let zone = search.store.states[state as usize].zone.clone()?;
+    let zone = search.store.zone(state)?;
     let legs = legs_to(search, Some(state), zone, None)?;
     Some(Replay::of(plan, of, &legs)?.moves)
 }
@@ -69,26 +69,29 @@ fn legs_to(
 ) -> Option<Vec<Leg>> {
     let mut legs = Vec::new();
     loop {
-        let reached = |origin: &Origin| {
-            let point = zone.within(&origin.zone).ok()?.point();
-            Some((origin.parent, origin.answers.clone(), origin.zone.len(), point))
-        };
+        // A run that leads to the state, at some times of the zone.
         let before = match at {
-            Some(state) => Some(search.store.states[state as usize].origins.iter().find_map(reached)?),
+            Some(state) => {
+                let origins: Vec<Origin> = search.store.origins(state).collect();
+                Some(origins.into_iter().find_map(|Origin { parent, answers }| {
+                    let (run, times, terms) = rerun(search, parent, &answers)?;
+                    let reached = times.project(&terms);
+                    let point = zone.within(&reached).ok()?.point();
+                    Some((parent, run, times, terms, point))
+                })?)
+            }
             None => None,
         };
         if let Some(mut run) = last.take() {
             let point = before.as_ref().map_or_else(|| zone.point(), |(.., point)| point.clone());
             legs.push(Leg::of(&mut run, &point)?);
         }
-        let Some((parent, answers, len, point)) = before else {
+        let Some((parent, run, mut cut, terms, point)) = before else {
             legs.reverse();
             return Some(legs);
         };
-        // A run that leads to the picked times of the state.
-        let (run, mut cut, terms) = rerun(search, parent, &answers)?;
         let (&(now, moved), others) = terms.split_first()?;
-        for (&(variable, offset), &value) in others.iter().zip(&point[1..len]) {
+        for (&(variable, offset), &value) in others.iter().zip(&point[1..]) {
             let apart = value - offset + moved;
             cut.constrain(variable, now, apart).ok()?;
             cut.constrain(now, variable, -apart).ok()?;
@@ -106,8 +109,8 @@ fn rerun(search: &mut Search, state: Option<u32>, answers: &[u16]) -> Option<(Ru
     let runner = &mut runners[0];
     let (zone, control) = match state {
         Some(at) => {
-            let state = &store.states[at as usize];
-            (state.zone.clone()?, store.controls[state.control as usize].clone())
+            let control = store.states[at as usize].control;
+            (store.zone(at)?, store.controls[control as usize].clone())
         }
         None => (Dbm::zero(), Arc::default()),
     };

@@ -2,7 +2,7 @@
 
 use super::runner::{From, Run, Runner};
 use super::still::Walks;
-use super::store::{Origin, Store};
+use super::store::Store;
 use crate::Silent;
 use crate::cell::judge::Shown;
 use crate::cell::plan::{Budget, CellFaults, CellPlan};
@@ -84,7 +84,7 @@ impl Search {
     ) -> bool {
         let mut search = Self::new(vec![Runner::new(plan, phase, faults)], plan.zones);
         let core = core(&search.runners[0], &control);
-        search.store.insert(control, core, Origin { parent: None, answers: Box::default(), zone }, 0);
+        search.store.insert(control, core, zone, (None, &[], 0));
         let budget = Budget { states: MOST_STILL, seconds: f64::INFINITY, ..plan.budget };
         let ended_by = search.expand_all(budget, (Instant::now(), &Silent));
         let first = search.store.heir(0);
@@ -113,7 +113,7 @@ impl Search {
                 return (most == 0 && open > 0).then(|| format!("{} states", budget.states));
             }
             self.expanded += batch.len() as u64;
-            for (&at, runs) in batch.iter().zip(self.expand(&batch)) {
+            for (&(at, _), runs) in batch.iter().zip(self.expand(&batch)) {
                 self.take_in(Some(at), runs);
             }
         }
@@ -126,16 +126,16 @@ impl Search {
     }
 
     /// The runs from each state of a batch.
-    fn expand(&mut self, batch: &[u32]) -> Vec<Vec<(Run, Way)>> {
+    fn expand(&mut self, batch: &[(u32, Dbm)]) -> Vec<Vec<(Run, Way)>> {
         let Self { runners, store, .. } = self;
         if let [only] = batch {
-            return vec![runners[0].expand(store, Some(*only))];
+            return vec![runners[0].expand(store, Some(only))];
         }
         let done: Vec<OnceLock<Vec<(Run, Way)>>> = batch.iter().map(|_| OnceLock::new()).collect();
         let next = AtomicUsize::new(0);
         let work = |runner: &mut Runner| {
             while let at = next.fetch_add(1, Ordering::Relaxed)
-                && let Some(&state) = batch.get(at)
+                && let Some(state) = batch.get(at)
             {
                 // Each number is given to one thread only, so the place is empty.
                 let _ = done[at].set(runner.expand(store, Some(state)));
@@ -165,7 +165,7 @@ impl Search {
         if let (Some(control), Some(zone)) = (run.control, zone) {
             self.longest = self.longest.max(control.len());
             let core = core(&self.runners[0], &control);
-            to = self.store.insert(control, core, Origin { parent, answers, zone }, depth);
+            to = self.store.insert(control, core, zone, (parent, &answers, depth));
         }
         // If only time has passed, the run has no new state at its end and leads back to its own state. Such a run is
         // not noted.
@@ -178,13 +178,16 @@ impl Search {
 
 impl Runner {
     /// Makes all runs from a kept state, or from the start of the cell: one for each way that the state's times allow.
-    fn expand(&mut self, store: &Store, at: Option<u32>) -> Vec<(Run, Way)> {
+    fn expand(&mut self, store: &Store, state: Option<&(u32, Dbm)>) -> Vec<(Run, Way)> {
         let mut runs = Vec::new();
-        let (zone, from) = match at.map(|at| &store.states[at as usize]) {
-            Some(state) => (state.zone.clone(), From::Kept(&store.controls[state.control as usize])),
-            None => (Some(Dbm::zero()), From::Start),
+        let at = state.map(|&(at, _)| at);
+        let (zone, from) = match state {
+            Some((at, zone)) => {
+                let control = store.states[*at as usize].control;
+                (zone.clone(), From::Kept(&store.controls[control as usize]))
+            }
+            None => (Dbm::zero(), From::Start),
         };
-        let Some(zone) = zone else { return runs };
         self.begin_state();
         each(
             &zone,

@@ -1,17 +1,20 @@
 //! The kept states of a search by zones: for each control, the zones with which it was reached.
 
+use super::origins::{List, Origin, Origins};
 use crate::cell::run_state::canon::Left;
-use crate::zone::dbm::Dbm;
+use crate::zone::dbm::{Dbm, KeptZones};
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 use std::sync::Arc;
 
-/// How a part of a state's zone was reached: from which kept state, and with which answers to the run's comparisons of
-/// times.
-pub struct Origin {
-    pub parent: Option<u32>,
-    pub answers: Box<[u16]>,
-    pub zone: Dbm,
+/// Where the times of a state are.
+enum Place {
+    /// The state is still to be expanded. Its times are those of a zone of its control.
+    Open,
+    /// The state has been expanded with the zone at this place among the kept zones.
+    Kept(usize),
+    /// Another state, with this number, includes these times.
+    Passed(u32),
 }
 
 /// A kept state.
@@ -19,11 +22,9 @@ pub struct State {
     /// The number of the state's control. The next field is the number of the control's group.
     pub control: u32,
     group: u32,
-    /// The times of the state. `None`: another state includes these times.
-    pub zone: Option<Dbm>,
-    /// The other state that includes the times of this state.
-    heir: Option<u32>,
-    pub origins: Vec<Origin>,
+    place: Place,
+    /// How the state was reached. The states that it includes were reached in the same ways.
+    origins: List,
     pub depth: u32,
 }
 
@@ -60,6 +61,9 @@ pub struct Store {
     /// The number of states whose times another state includes.
     passed: usize,
     pub states: Vec<State>,
+    /// The zones of the states that have been expanded.
+    kept: KeptZones,
+    origins: Origins,
     /// The controls by number.
     pub controls: Vec<Arc<[u8]>>,
     /// The number of the group for each control without its remaining faults.
@@ -77,20 +81,38 @@ impl Store {
 
     /// The state that now has the times of this state.
     pub fn heir(&self, mut state: u32) -> u32 {
-        while let Some(heir) = self.states[state as usize].heir {
+        while let Place::Passed(heir) = self.states[state as usize].place {
             state = heir;
         }
         state
     }
 
-    /// Keeps a state, unless kept states cover its times. `bytes` is the state's control, and `core` is the control
+    /// The times of a state; `None`: another state includes them.
+    pub fn zone(&self, number: u32) -> Option<Dbm> {
+        let state = &self.states[number as usize];
+        match state.place {
+            Place::Passed(_) => None,
+            Place::Kept(at) => Some(self.kept.zone(at)),
+            Place::Open => {
+                let known = &self.groups[state.group as usize].known;
+                known.iter().find(|known| known.state == Some(number)).map(|known| known.zone.clone())
+            }
+        }
+    }
+
+    /// How the times of a state were reached.
+    pub fn origins(&self, state: u32) -> impl Iterator<Item = Origin> {
+        self.origins.of(self.states[state as usize].origins)
+    }
+
+    /// Keeps a state with these times, unless kept states cover them. `bytes` is the state's control, and `core` is the control
     /// without the remaining faults. Returns the states that include the new state's times afterwards.
     pub fn insert(
         &mut self,
         bytes: Box<[u8]>,
         (left, core): (Left, Box<[u8]>),
-        origin: Origin,
-        depth: u32,
+        mut zone: Dbm,
+        (parent, answers, depth): (Option<u32>, &[u16], u32),
     ) -> Vec<u32> {
         let number_of = |len: usize| u32::try_from(len).unwrap_or(u32::MAX);
         let group = *self.numbers.entry(core).or_insert_with(|| {
@@ -98,7 +120,7 @@ impl Store {
             number_of(self.groups.len() - 1)
         });
         let Group { controls, known } = &mut self.groups[group as usize];
-        if let Some(covering) = covering(known, left, &origin.zone) {
+        if let Some(covering) = covering(known, left, &zone) {
             return covering.states.clone();
         }
         let number = number_of(self.states.len());
@@ -109,9 +131,9 @@ impl Store {
             self.controls.push(bytes.into());
         }
         let control = same.unwrap_or(next);
-        let (mut zone, mut origins) = (origin.zone.clone(), vec![origin]);
+        let mut origins = self.origins.one(parent, answers);
         let states = &mut self.states;
-        self.passed += replace(known, states, (left, &zone), number).1;
+        self.passed += replace(known, states, (left, &zone), number).len();
         // The new state joins with states that are still to be expanded, if the union of both zones is a zone.
         while let Some((at, state, merged)) = known.iter().enumerate().find_map(|(at, old)| {
             let state = old.state.filter(|_| old.left == left)?;
@@ -121,46 +143,47 @@ impl Store {
             let state = &mut states[state as usize];
             state.pass_to(number);
             self.passed += 1;
-            origins.append(&mut state.origins);
+            origins = self.origins.join(origins, state.origins);
             zone = merged;
         }
         let is_like = |old: &&Known| old.left == left;
         if known.iter().filter(is_like).count() >= self.most {
             self.hulls += 1;
             zone = known.iter().filter(is_like).fold(zone, |all, old| all.hull(&old.zone));
-            let (mut others, passed) = replace(known, states, (left, &zone), number);
-            origins.append(&mut others);
-            self.passed += passed;
+            let others = replace(known, states, (left, &zone), number);
+            self.passed += others.len();
+            origins = others.into_iter().fold(origins, |all, others| self.origins.join(all, others));
         }
-        known.push(Known { left, zone: zone.clone(), state: Some(number), states: vec![number] });
-        states.push(State { control, group, zone: Some(zone), heir: None, origins, depth });
+        known.push(Known { left, zone, state: Some(number), states: vec![number] });
+        states.push(State { control, group, place: Place::Open, origins, depth });
         self.open.push(Reverse((Reverse(left.total()), control, number)));
         vec![number]
     }
 
-    /// The next states to be expanded: at most `most`, all with the same number of remaining faults. From then on no other
-    /// state joins with them.
-    pub fn next(&mut self, most: usize) -> Vec<u32> {
+    /// The next states to be expanded, with their times: at most `most`, all with the same number of remaining faults. From then on
+    /// no other state joins with them.
+    pub fn next(&mut self, most: usize) -> Vec<(u32, Dbm)> {
         let mut next = Vec::new();
+        let mut of_batch = None;
         while next.len() < most
             && let Some(&Reverse((Reverse(left), _, number))) = self.open.peek()
         {
-            let state = &self.states[number as usize];
-            if state.zone.is_some() && next.first().is_some_and(|&(first, _)| first != left) {
+            let state = &mut self.states[number as usize];
+            let is_open = matches!(state.place, Place::Open);
+            if is_open && *of_batch.get_or_insert(left) != left {
                 break;
             }
             self.open.pop();
-            if state.zone.is_none() {
-                continue;
-            }
-            next.push((left, number));
             let known = &mut self.groups[state.group as usize].known;
-            if let Some(at) = known.iter().position(|known| known.state == Some(number)) {
+            if is_open && let Some(at) = known.iter().position(|known| known.state == Some(number)) {
+                let zone = known[at].zone.clone();
+                state.place = Place::Kept(self.kept.keep(&zone));
+                next.push((number, zone));
                 known[at].state = None;
                 merge_expanded(known, at);
             }
         }
-        next.into_iter().map(|(_, number)| number).collect()
+        next
     }
 
     /// The zones of a control that were reached with at least the faults `left`. `core` is the control without the
@@ -178,25 +201,19 @@ impl Store {
 }
 
 /// Lets a new state replace the zones whose times it includes, and the states of these zones that are still to be expanded.
-/// Returns how these states were reached, and their number.
-fn replace(
-    known: &mut Vec<Known>,
-    states: &mut [State],
-    (left, zone): (Left, &Dbm),
-    new: u32,
-) -> (Vec<Origin>, usize) {
-    let (mut origins, mut passed) = (Vec::new(), 0);
+/// Returns how each of these states was reached.
+fn replace(known: &mut Vec<Known>, states: &mut [State], (left, zone): (Left, &Dbm), new: u32) -> Vec<List> {
+    let mut passed = Vec::new();
     known.retain(|old| {
         let covers = left.covers(old.left) && old.zone.is_in(zone);
         if covers && let Some(at) = old.state {
             let state = &mut states[at as usize];
             state.pass_to(new);
-            passed += 1;
-            origins.append(&mut state.origins);
+            passed.push(state.origins);
         }
         !covers
     });
-    (origins, passed)
+    passed
 }
 
 /// The newest zone that covers the times `zone` and was reached with at least the faults `left`.
@@ -206,7 +223,7 @@ fn covering<'a>(known: &'a [Known], left: Left, zone: &Dbm) -> Option<&'a Known>
 
 impl State {
     fn pass_to(&mut self, heir: u32) {
-        (self.zone, self.heir) = (None, Some(heir));
+        self.place = Place::Passed(heir);
     }
 }
 

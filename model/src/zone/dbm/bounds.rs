@@ -19,6 +19,14 @@ pub(super) enum Bounds {
 }
 
 impl Bounds {
+    /// The bounds over `len` variables of which only these are not free, each with its place.
+    pub fn of(len: usize, bounds: impl Iterator<Item = (usize, i32)>) -> Self {
+        let mut own = vec![super::FREE; len * len];
+        own.iter_mut().step_by(len + 1).for_each(|to_itself| *to_itself = 0);
+        bounds.for_each(|(at, bound)| own[at] = bound);
+        Self::Own(own)
+    }
+
     /// The bounds, to be changed.
     pub fn own(&mut self) -> &mut Vec<i32> {
         if let Self::Shared(shared) = self {
