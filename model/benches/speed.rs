@@ -11,11 +11,10 @@ mod support;
 use imrs_model::worlds::Meeting;
 use imrs_model::{Budget, Exploration, Limits, Reductions, Watch, WorldModel, explore};
 use imrs_protocol::{CommTask, Input, Observation, Outbox, Packet, Request, Signal, Ticks, TimeId};
-use stateright::{Checker, Model};
+use stateright::Checker;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 use support::reference::ReferenceModel;
-use support::walk::successors;
 use support::worlds::{scenario, timed, with};
 
 const ROUNDS: usize = 7;
@@ -165,11 +164,6 @@ fn sizes(quick: bool) {
         let found = explore(&scenario(&meeting), limits(most), None);
         show(name, &found, 128);
     }
-    // The successors of one state show what a state costs besides its bytes.
-    let scenario = scenario(&timed(4, Watch::FalseRelease, 1, 3, 5));
-    let model = WorldModel::new(&scenario, Limits::default());
-    let first = model.init_states().remove(0);
-    black_box(successors(&model, &first));
 }
 
 /// A meeting of three members that send every packet once. The time_out is the least one with which they can be released.
