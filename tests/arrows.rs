@@ -125,8 +125,8 @@ fn versions_of(package: &str, features: &str, known: &str) -> Vec<(String, Strin
     words.filter_map(|mut words| Some((words.next()?.to_owned(), words.next()?.to_owned()))).collect()
 }
 
-/// Each package that is linked into a robot's program takes time to build, and must be trusted. A package that is built
-/// in two versions is listed twice.
+/// Each package that is linked into a robot's program takes time to build, and its authors must be trusted. A package
+/// that is built in two versions is listed twice.
 #[test]
 fn a_robots_program_is_built_from_the_packages_that_are_listed() {
     let packages: BTreeSet<_> = versions_of("imrs-client", "", "imrs-protocol").into_iter().collect();

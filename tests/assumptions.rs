@@ -1,7 +1,6 @@
 //! `imrs replay --model` names the assumptions of the checks that a run broke: packets lost or doubled, failed actions,
 //! killed nodes, clocks that drifted apart, each compared with what the cell declares. The recordings come from real
-//! runs with faults of the launcher, or are altered in one respect. If this machine is late, these tests have the same
-//! verdicts.
+//! runs with injected faults, or are altered in one respect. The verdicts are the same if this machine is late.
 
 use crate::support::program::{one_after_the_other, times};
 use crate::support::{Said, run_in, run_until, runtime_dir, tape};
@@ -43,7 +42,7 @@ begin
 end b_hears;
 ";
 
-/// The commands of two actions: one takes some time, and one fails after that.
+/// The commands of two actions: one takes 50 ms, and the other one fails after 50 ms.
 const WORKS: &str = "work=sleep 0.05";
 const FAILS: &str = "work=timeout 0.05 sleep 9";
 const NODES: [&str; 2] = ["n1", "n2"];
@@ -85,7 +84,7 @@ impl Run {
         self.path(&format!("run.{node}.imrs"))
     }
 
-    /// The file of the cell, with these `faults` declared.
+    /// The file of the cell, in which these `faults` are declared.
     fn cell(&self, faults: &str) -> String {
         let cell = self.path("news.cell");
         std::fs::write(&cell, format!("{NEWS}{faults}\n")).expect("the cell is written");
@@ -133,7 +132,7 @@ fn dozens() -> impl FnMut(&str) -> bool {
 #[test]
 fn a_run_without_faults_loses_doubles_and_fails_nothing() {
     let kinds: Vec<String> = Run::well().breaches("").into_iter().map(|(kind, ..)| kind).collect();
-    // Only delays may be found, because they depend on this machine.
+    // A delay may be found in any run, because it depends on this machine.
     assert!(kinds.iter().all(|kind| ["delay", "late"].contains(&kind.as_str())), "{kinds:?}");
 }
 

@@ -1,4 +1,4 @@
-//! Tests that a run judges the checks of its cell. If this machine is late, the tests have the same verdicts.
+//! Tests that a run judges the checks of its cell. The verdicts are the same if this machine is late.
 
 use crate::support::{Said, example, own_address, run_in, runtime_dir, side_by_side, tried, was_late};
 use serde_json::Value;

@@ -56,7 +56,7 @@ fn paths(code: &str) -> BTreeSet<Module> {
     let mut is_begin = true;
     while let Some(&next) = rest.peek() {
         if !is_word(next) {
-            // A word behind `::` or `.` continues the path before it.
+            // A word after `::` or `.` continues a path, and does not begin one.
             is_begin = !matches!(next, ':' | '.' | '\'');
             rest.next();
             continue;
@@ -82,7 +82,7 @@ fn space(rest: &mut Peekable<Chars<'_>>) {
     while rest.next_if(|c| c.is_whitespace()).is_some() {}
 }
 
-/// Reads the rest of a path: more names, or several ends in braces.
+/// Reads the rest of a path: more names, or several endings in braces.
 fn path(mut own: Module, rest: &mut Peekable<Chars<'_>>, found: &mut BTreeSet<Module>) {
     while rest.peek() == Some(&':') {
         rest.next();

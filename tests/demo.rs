@@ -80,7 +80,7 @@ fn ended(demo: Live, what: &str, is_so: impl FnMut(&Value) -> bool) -> (Value, S
     (summary, errors)
 }
 
-/// The summary of a beam lift, interrupted once `is_so` accepts a monitor's sample. Repeats the lift if the tasks gave up before.
+/// The summary of a beam lift, interrupted once `is_so` accepts a monitor's sample. Runs the demo again if the tasks gave up.
 fn lifts(args: &[&str], what: &str, is_so: impl Fn(&Value) -> bool) -> Value {
     for _ in 0..TIMES {
         let demo = Live::demo(&[&["--for", "10m"], args].concat());
@@ -111,7 +111,7 @@ fn told(args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
     said
 }
 
-/// Runs the beam lift as [`told`] does. Runs it again if a node was suspended during a lift, or for longer than other tasks wait.
+/// Runs the beam lift as [`told`] does. Runs it again if a node was suspended during a lift, or for longer than a task waits.
 fn lift_told<E: FnMut(&str) -> bool>(args: &[&str], is_enough: impl Fn() -> E) -> Said {
     for _ in 0..TIMES {
         let said = said_until(&[&["beam-lift"], args].concat(), is_enough());
@@ -134,7 +134,7 @@ fn says(said: &Said, words: &[&str]) {
 
 #[test]
 fn without_faults_everybody_starts_together() {
-    // Waits for one answer within 5 ms, for which a busy machine may need several lifts. The last query may still be open.
+    // One query must be answered within 5 ms. A busy machine may need several lifts for that. The last query may be open.
     let summary = lifts(&["--no-fault"], "three lifts and an answer", |seen| {
         let beats = |name: &str| figure(seen, "armL", "beat", name);
         released(seen, "armL") >= 3 && beats("sent") >= beats("timed_out") + 2
@@ -252,7 +252,7 @@ fn begins(line: &str, action: &str) -> Option<(f64, String)> {
 
 #[test]
 fn of_two_that_change_the_speed_at_once_one_gives_way() {
-    // If the machine lets both robots ask at once, the times of their two lines differ only by a few milliseconds.
+    // If both robots asked at once, the times in their two lines differ by only a few milliseconds.
     let (mut adapted, mut gave_way) = (Vec::new(), Vec::new());
     let said = told(&["belt-administrator", "--seed", "3"], |line| {
         adapted.extend(begins(line, "adapt"));
@@ -280,7 +280,7 @@ fn lost_packets_cost_time_but_never_a_false_start() {
     let tasks = ["armL", "armR", "hoist"];
     let summary = lifts(&["--loss", "20%", "--seed", "5"], "some rounds with copies", |seen| {
         let resent = tasks.iter().any(|task| figure(seen, task, "lift", "resent") > 0);
-        // Each task must send so many messages that some of them are lost.
+        // Each task must have sent so many messages that some of them were surely lost.
         let rounds = |name: &&str| task(seen, name)["waitfor"][0]["round"].as_u64().unwrap_or(0);
         resent && tasks.iter().map(rounds).min() >= Some(6)
     });
@@ -373,7 +373,7 @@ fn a_node_that_stood_still_carries_out_nothing_old() {
                 .any(|name| ["ended", "crashed"].contains(&task(seen, name)["state"].as_str().unwrap_or("")))
         });
         signal(demo.pid("nr"), Signal::CONT);
-        // The partners kept announcing their arrival. Packets for the node waited in the kernel; the node takes them out expired.
+        // The partners repeated their arrivals. These packets waited in the kernel, and the node receives them expired.
         demo.until("what came out old", |seen| {
             let discards = named(&seen["nodes"], "nr")["discards"].as_array().cloned().unwrap_or_default();
             discards.iter().any(|of| of["reason"] == "expired_on_the_way" && of["count"].as_u64() > Some(0))

@@ -25,7 +25,7 @@ const VERSION_AT: usize = 2;
 const KIND_AT: usize = 15;
 const TRANSPORT: u8 = 0;
 
-/// A process in the middle of two nodes: each node sends to it as if it were the other node.
+/// A process between two nodes: each node sends to it as if it were the other node.
 pub struct Between {
     own: Ipv4Addr,
     nodes: [u16; 2],
@@ -36,7 +36,7 @@ pub struct Between {
 }
 
 impl Between {
-    /// Starts to pass on datagrams. Each is first changed by `change`.
+    /// Starts to forward datagrams. `change` changes each datagram first.
     pub fn new(own: Ipv4Addr, nodes: [u16; 2], change: fn(&mut [u8])) -> Self {
         let sockets = Arc::new([0, 1].map(|_| UdpSocket::bind((own, 0)).expect("a port")));
         let passed: Arc<[Mutex<Vec<Vec<u8>>>; 2]> = Arc::default();
@@ -63,7 +63,7 @@ impl Between {
         self.sockets.each_ref().map(|socket| socket.local_addr().expect("its address").port())
     }
 
-    /// Sends a node a datagram in the name of the other node.
+    /// Sends a datagram to a node in the name of the other node.
     fn throw(&self, at: usize, bytes: &[u8]) {
         self.sockets[at].send_to(bytes, (self.own, self.nodes[at])).expect("it leaves");
     }
@@ -177,7 +177,7 @@ fn nodes_that_do_not_fit_say_why_on_both_sides_within_a_second() {
     }
 }
 
-/// The test records all datagrams, restarts one of the nodes, and then sends both nodes the old datagrams again.
+/// The test records all datagrams, restarts one of the nodes, and then sends the old datagrams to both nodes again.
 #[test]
 fn datagrams_of_an_ended_session_are_dropped_by_name_on_both_sides_within_a_second() {
     let pair = Pair::new(Bench::that_waits(120));
@@ -209,7 +209,7 @@ fn datagrams_of_an_ended_session_are_dropped_by_name_on_both_sides_within_a_seco
         old.iter().for_each(|bytes| between.throw(at, bytes));
     }
     let thrown = Instant::now();
-    // By the time of these datagrams, the nodes have taken the repeated ones.
+    // When the nodes have received these newer datagrams, they have also received the old ones that were sent before.
     talk_on();
     for mut node in [again, nb] {
         let said_at = loop {
@@ -337,7 +337,7 @@ fn another_user_of_the_machine_gets_no_key_no_socket_and_no_pipe() {
     }
     run.interrupt();
     run.finish();
-    // The same attempt succeeds in a run without keys. So the attempt does find files that can be read.
+    // The same attempt succeeds in a run without keys, so the attempt is able to find files that can be read.
     let (run, pids) = processes(folder, cell, &["--insecure"]);
     let memory = PathBuf::from(format!("/proc/{}/mem", pids[0]));
     assert!(can_read(OWNER, memory.clone()) && !can_read(OTHER, memory));

@@ -1,4 +1,4 @@
-//! Tests of `imrs check --load`: the estimated traffic, and what a run puts on the link.
+//! Tests of `imrs check --load`: the estimated traffic, compared with the traffic of a run.
 
 use crate::support::{finish, imrs, number, run, runtime_dir};
 
@@ -36,7 +36,7 @@ fn the_estimated_load_is_what_a_run_puts_on_the_link() {
     let cell = cell.to_str().expect("UTF-8");
     let checked = run(&["check", "--load", cell, "--format", "json"]).last_json();
     let link = &checked["load"]["links"][0];
-    // An answer has no contents, and is a packet.
+    // An answer counts as a packet, although it has no contents.
     assert_eq!((link["declared"].as_f64(), link["estimated"].as_f64()), (Some(25.0), Some(4.0)), "{checked}");
     assert_eq!(link["capacity"].as_f64(), Some(200.0), "{checked}");
     let table = run(&["check", "--load", cell]);
@@ -47,6 +47,6 @@ fn the_estimated_load_is_what_a_run_puts_on_the_link() {
         ran["nodes"].as_array().expect("nodes").iter().map(|node| number(&node["forwarded"])).sum();
     let seconds = ran["seconds"].as_f64().expect("seconds");
     let measured = left as f64 / seconds;
-    // A busy machine sends less often, and resends.
+    // On a busy machine the tasks send less often, and send copies.
     assert!((0.3..1.5).contains(&(measured / 29.0)), "{measured} packets a second: {ran}");
 }

@@ -53,7 +53,7 @@ fn the_node_of_the_other_process() {
         .unwrap();
     let path = PathBuf::from(folder).join(format!("n0-{}.sock", std::process::id()));
     let _observer = Observer::start_at(Arc::clone(runtime.node()), &path).unwrap();
-    // The other test of this file needs the node for no longer than this.
+    // The other test of this file needs this node for a shorter time.
     thread::sleep(2 * LONG);
 }
 

@@ -1,5 +1,5 @@
-//! Runs random cells on the real runtime: what threads and clocks do must be a path of the model, too. The cells are
-//! the ones that test the search (`model/tests/guard`).
+//! Runs random cells on the real runtime. With real threads and clocks, each run must still be a path of the model.
+//! The cells are those with which the search is tested (`model/tests/guard`).
 
 #[path = "../model/tests/guard/cells.rs"]
 #[expect(dead_code, reason = "bodies for tasks outside are of the checker's own tests")]
@@ -11,7 +11,7 @@ use crate::support::{bound, excused, run_in, runtime_dir};
 use imrs_language::{Source, Unit, compile};
 use std::path::Path;
 
-/// The number of random bytes from which a cell is made.
+/// The number of random bytes from which a cell is generated.
 const TAPE: usize = 300;
 
 fn tape(seed: u64) -> Vec<u8> {
@@ -46,7 +46,7 @@ fn recordings(folder: &Path) -> Vec<String> {
     files
 }
 
-/// Runs `IMRS_RANDOM_RUNS` cells, from seed `IMRS_SEED` on.
+/// Runs `IMRS_RANDOM_RUNS` cells, beginning with seed `IMRS_SEED`.
 #[test]
 fn runs_of_random_cells_are_paths_of_the_model() {
     let (first, number) = (bound("IMRS_SEED", 1), bound("IMRS_RANDOM_RUNS", 4));

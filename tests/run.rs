@@ -118,7 +118,7 @@ fn exit<'a>(summary: &'a Value, name: &str) -> &'a Value {
 #[test]
 fn scripts_meet_and_ask_through_a_node_that_only_relays() {
     side_by_side([&["--format", "json"][..], &["--format", "json", "--in-process"]], |how: &[&str]| {
-        // The time_out is long enough for any machine. At the end of the run, `b` takes this long to give up.
+        // The time_out is long enough for any machine. When `a` has ended, `b` waits this long and then gives up.
         let said = Bench::that_waits(10).run(how);
         let summary = said.last_json();
         // After `a` has ended, `b` waits for `a` until the time_out. The abort of `b` is the finding.
@@ -420,7 +420,7 @@ fn real_time_is_had_or_refused_with_what_to_do() {
         let args = ["run", cell.to_str().expect("UTF-8"), "--rt", "--for", "10m", "--format", "json"];
         let mut command = imrs(bench.0.path(), &args);
         if !rights {
-            // A user without the rights was already refused in the first case, so the test ends here.
+            // Without root, the first case has already tested the refusal, so the test ends here.
             if !rustix::process::geteuid().is_root() {
                 return;
             }
@@ -436,7 +436,7 @@ fn real_time_is_had_or_refused_with_what_to_do() {
         }
         let mut nodes = Program::start(command);
         let started = nodes.json();
-        // A thread has its own name only once it runs.
+        // A thread gets its name only when it begins to run.
         let mut all = Vec::new();
         wait_until("somebody serves monitors", || {
             all = threads(number(&started["started"][0]["pid"]));

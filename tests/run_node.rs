@@ -46,7 +46,7 @@ fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_
     for incarnation in 0..2 {
         let (b, a) = (start("nb"), start("na"));
         let a = a.finish();
-        // From now on the other node's task waits without a partner, so the test interrupts that node.
+        // The task of the other node now waits for a partner that has ended, so the test interrupts that node.
         b.interrupt();
         let b = b.finish();
         let summary = a.last_json();
@@ -106,7 +106,7 @@ fn the_reports_of_nodes_that_ran_apart_give_one_summary() {
     assert_eq!((code, &one["rendezvous"][0]["false_releases"]), (Some(5), &Value::Null), "{one}");
     assert!(err.contains("incomplete: node nb has no report"), "{err}");
 
-    // What cannot be used is refused by name, and nothing is replaced.
+    // Files and options that cannot be used are refused by name, and no file is replaced.
     let text = std::fs::read_to_string(&cell).expect("the cell");
     let changed = format!("{cell}.changed");
     std::fs::write(&changed, text.replace("delay 1 msec", "delay 2 msec")).expect("a cell");
@@ -163,8 +163,8 @@ fn a_node_without_a_place_to_run_is_told_what_is_missing() {
     }
 }
 
-/// If failed starts were counted, 130 of them would make the node's real start look older than the last one. Its
-/// neighbours would then ignore it without a word.
+/// If failed starts were counted, 130 of them would make the number of the real start look older than the last one,
+/// and the node's neighbours would ignore it silently.
 #[test]
 fn failed_starts_count_nothing_and_the_real_one_is_heard() {
     // A restarted node is held back for as long as messages to its earlier incarnation may still be in flight.

@@ -15,7 +15,7 @@ use std::path::PathBuf;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
-/// A cell of two tasks that meet for ever. A full pipe takes none of the lines about them.
+/// A cell of two tasks that meet for ever. If the pipe is full, no line about the meetings can be written.
 const MEETS: &str = "\
 cell meets;
 tick 1 msec;

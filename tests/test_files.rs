@@ -1,5 +1,5 @@
-//! Checks that every test file is compiled. Cargo does not look for test programs here, so a file that no `mod`
-//! declares would be ignored silently.
+//! Checks that every test file is compiled. Cargo does not search for test programs in this workspace, so a file that
+//! no `mod` declares would silently be ignored.
 
 use crate::support::metadata;
 use serde_json::Value;

@@ -95,7 +95,8 @@ fn as_many_states_where_nothing_is_reduced() {
     if !spin_is_here() {
         return;
     }
-    // Under the other rules, the twin's states hold other facts than those of the state machine, so the numbers differ.
+    // Under the other rules, a state of the twin holds other facts than a state of the machine, so the numbers of
+    // states differ.
     for ((_, confirmation, rule), loss) in [(RULES[0], 0), (RULES[2], 1), (RULES[2], 2)] {
         let rules = Rules { confirmation, answer_late_arrivals: false, ..Rules::DEFAULT };
         let budget = Budget { loss, dup: 0, crash: 0 };
@@ -196,7 +197,7 @@ fn commands_are_handed_over_once() {
         compared += 1;
     }
     assert_eq!(compared, twins.len());
-    // The dedup entry of a command must be kept until no copy of an older command is under way.
+    // A receiver must keep the dedup entry of a command until no copy of an older command is in flight.
     assert!(!holds("command.pml", &["FORGET_OLDER"]));
 }
 
@@ -229,8 +230,8 @@ fn as_many_lost_packets_leave_a_command_without_its_answer() {
         let least = (0..12).find(unanswered).expect("enough losses leave it without");
         assert_eq!(least, retry + 1, "each copy brings an answer of its own");
         assert!(twin_answers(least - 1, &["PROMPT"]) && !twin_answers(least, &["PROMPT"]));
-        // The receiver does not answer a copy that comes while the first one is unanswered. It sends only one answer if
-        // it is slow, so a single lost packet is enough.
+        // The receiver does not answer a copy that arrives before its first answer. A slow receiver sends only one
+        // answer, so a single lost packet suffices.
         if retry == 2 {
             assert!(twin_answers(0, &[]) && !twin_answers(1, &[]));
         }

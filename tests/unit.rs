@@ -24,7 +24,7 @@ fn cell(folder: &Path) -> String {
     file.to_str().expect("UTF-8").to_owned()
 }
 
-/// The states that the manager gets in one datagram; none if nothing comes within `within`.
+/// The states that the manager receives in one datagram; `None` if none arrives within `within`.
 fn told(manager: &UnixDatagram, within: Duration) -> Option<String> {
     manager.set_read_timeout(Some(within)).expect("a time limit");
     let mut bytes = [0; 4096];
@@ -37,7 +37,7 @@ fn told(manager: &UnixDatagram, within: Duration) -> Option<String> {
     }
 }
 
-/// Whether a ping comes within a generous time.
+/// Whether the manager receives a ping within 60 s.
 fn pings(manager: &UnixDatagram) -> bool {
     let end = Instant::now() + Duration::from_secs(60);
     while Instant::now() < end {
@@ -62,7 +62,7 @@ fn a_service_manager_hears_that_a_node_is_up_that_it_works_and_that_it_stops() {
     let node = program.json()["started"][0]["pid"].as_u64().expect("a process");
     assert!(pings(&manager), "a node that works is reported");
 
-    // A suspended node sends nothing. The pings that were sent before the suspension come at once.
+    // A suspended node sends nothing. Only the pings that it sent before the suspension arrive.
     let node = u32::try_from(node).expect("a process");
     signal(node, Signal::STOP);
     let stopped = Instant::now();

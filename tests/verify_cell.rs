@@ -288,8 +288,8 @@ fn a_finding_that_no_steps_lead_to_is_not_saved_and_that_is_said() {
     assert!(!answer.out.contains("step by step") && !saved.exists(), "{answer:?}");
 }
 
-/// A model tick that is longer than an action does not lengthen the action. If times are not multiples of the tick, the
-/// findings say so.
+/// A model tick that is longer than an action does not lengthen the action. If the cell has times that are not
+/// multiples of its tick, the findings say so.
 #[test]
 fn the_model_tick_rounds_nothing() {
     let text = |tick: &str| {

@@ -51,7 +51,7 @@ pub fn pin(core: Core) -> bool {
     at.is_some_and(|&at| set([at]))
 }
 
-/// Lets the calling thread run on every core of the process.
+/// Lets the calling thread run on every core of the process. Returns whether the kernel allowed it.
 pub fn unpin() -> bool {
     set(allowed().iter().copied())
 }

@@ -14,7 +14,7 @@ pub const TTL: Duration = Duration::from_millis(50);
 pub const PERIOD: Duration = Duration::from_millis(5);
 /// How long each execution takes.
 pub const EXECUTION: Duration = Duration::from_millis(1);
-/// The number of a command that only finds out whether the other end is there. It is not executed.
+/// The number of a command that only tests whether the other end runs. The executor does not execute it.
 pub const WARM_UP: u32 = u32::MAX;
 
 /// A command of the stream: its number, and when it was made.
@@ -65,7 +65,7 @@ fn nanos() -> u64 {
     now.tv_sec.unsigned_abs() * 1_000_000_000 + now.tv_nsec.unsigned_abs()
 }
 
-/// What became of a stream.
+/// The result of a stream.
 #[derive(Clone, Debug, Default)]
 pub struct Tally {
     /// How many commands were sent.

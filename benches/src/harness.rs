@@ -1,10 +1,11 @@
-//! Measures in rounds: every case once, then every case again. A ratio compares two cases of one round, so that other load on
+//! Measures in rounds: each round runs every case once. A ratio compares two cases of one round, so that other load on
 //! the machine affects both. The result is the median of the rounds' ratios.
 //!
-//! A round of a case on two processors counts only if the two were as near to each other after it as before: two threads of one core
-//! share a cache, two cores do not. A
-//! row is decided only if its rounds agree ([`judge`](crate::judge)); otherwise it is measured again, at most [`AGAIN`]
-//! times.
+//! The result of a case on two processors depends on their distance: two threads of one core share a cache, two cores
+//! do not. A round of such a case counts only if the distance was the same before and after it.
+//!
+//! A row is decided only if its rounds agree ([`judge`](crate::judge)). Otherwise the row is measured again, at most
+//! [`AGAIN`] times.
 
 use crate::judge::{Outcome, judge};
 use crate::sample::Sample;

@@ -5,8 +5,8 @@ use crate::sample::Sample;
 use crate::suite::{Against, Goal, Row};
 use crate::surroundings::Apart;
 
-/// A row of which some rounds meet the bound, and some do not, is decided only if the greatest ratio is less than this many
-/// times the least.
+/// If some rounds of a row meet the bound and others do not, the row is decided only if the greatest ratio is less
+/// than this many times the least.
 pub const SPAN: f64 = 3.0;
 /// A round is quiet if other programs took at most this share of the processors.
 pub const QUIET: f64 = 0.05;

@@ -1,7 +1,8 @@
 //! Counts allocations, if the program's allocator reports them.
 //!
-//! A program with rows about memory needs a global allocator that calls [`allocated`] and [`freed`]; without it these rows
-//! are not measured. Nothing is counted while times are taken, because peers that allocate would pay for the counting.
+//! A program that measures memory needs a global allocator that calls [`allocated`] and [`freed`]; otherwise the rows
+//! about memory are not measured. While times are measured, allocations are not counted, because the counting would
+//! slow down libraries that allocate.
 
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
 

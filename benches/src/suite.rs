@@ -113,7 +113,7 @@ pub enum Against {
     /// The statistic is compared with the same statistic of another case: the difference of the two, divided by this
     /// number of steps, is bounded.
     Above(String, u32),
-    /// The statistic is not compared with another one: it is bounded itself.
+    /// The statistic is not compared with another one; the bound applies to the statistic itself.
     Nothing,
 }
 
@@ -198,7 +198,7 @@ impl Row {
         Self::of(id, what.into(), subject.into(), Against::Nothing, stat, goal)
     }
 
-    /// Bounds how many nanoseconds a case takes more than another one, divided by the number of its steps.
+    /// Bounds how many nanoseconds longer a case takes than another case, divided by the number of its steps.
     pub fn above(id: &'static str, what: &str, cases: [&str; 2], steps: u32, stat: Stat, goal: Goal) -> Self {
         let [subject, against] = cases.map(String::from);
         Self::of(id, what.into(), subject, Against::Above(against, steps), stat, goal)
@@ -229,8 +229,8 @@ impl Row {
         self
     }
 
-    /// The same row, which compares what one of many equal parts takes: the subject has `parts[0]` of them, the other
-    /// case `parts[1]`.
+    /// The same row for one of many equal parts: the subject's time is divided by `parts[0]`, and that of the other
+    /// case by `parts[1]`.
     #[must_use]
     pub fn for_each(mut self, part: &str, parts: [u32; 2]) -> Self {
         self.what += ", for each ";
@@ -263,12 +263,12 @@ impl Row {
     }
 }
 
-/// Cases that are measured in turns, and the rows for their ratios.
+/// Cases that are measured alternately, and the rows for their ratios.
 #[derive(Default)]
 pub struct Suite {
     /// The suite's name.
     pub name: &'static str,
-    /// The cases, measured in turns: A B C A B C.
+    /// The cases. Each round measures all of them in this order: A B C A B C.
     pub cases: Vec<Case>,
     /// The rows with the goals.
     pub rows: Vec<Row>,

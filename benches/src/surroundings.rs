@@ -7,8 +7,8 @@ use crate::suite::Effort;
 use rustix::time::{ClockId, clock_gettime};
 use std::time::{Duration, Instant};
 
-/// Two processors are near if they pass a cache line there and back in at most this time. On the machines seen so far,
-/// two threads of one core take up to 80 ns, and two cores at least 230 ns.
+/// Two processors count as near if passing a cache line from one to the other and back takes at most this many
+/// nanoseconds. On the machines seen so far, two threads of one core take up to 80 ns, and two cores at least 230 ns.
 pub const NEAR_NANOS: f64 = 130.0;
 /// How often the cache line is passed to measure this time.
 const TRIPS: u32 = 64 * floors::GROUP;
@@ -35,7 +35,7 @@ impl Apart {
         }
     }
 
-    /// The distance that follows from the time that a cache line takes there and back, in nanoseconds.
+    /// The distance of the two processors, if a cache line takes `nanos` nanoseconds to the other one and back.
     #[must_use]
     pub fn of(nanos: f64) -> Self {
         if nanos <= NEAR_NANOS { Self::Near } else { Self::Far }
@@ -46,7 +46,7 @@ impl Apart {
 pub trait Surroundings {
     /// How far the two processors are from each other now; `None` if there is only one.
     fn apart(&mut self) -> Option<Apart>;
-    /// The share of the processors that other programs, and other machines, took since the last call: 0 to 1.
+    /// The share of the processors, 0 to 1, that other programs and other virtual machines took since the last call.
     fn others(&mut self) -> f64;
 }
 

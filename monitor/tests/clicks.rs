@@ -36,8 +36,8 @@ impl Desk {
         text(&self.stage.draw(self.now, self.size.0, self.size.1))
     }
 
-    /// Clicks on the middle of the last part of `words`, which are separated by `|`, in the first row that has all of them
-    /// in this order.
+    /// Clicks on a place in the first row that contains all parts of `words` in this order. The parts are separated
+    /// by `|`, and the middle of the last part is clicked.
     fn click(&mut self, words: &str) -> Effect {
         let shown = self.shown();
         let find = |line: &str| {
@@ -162,11 +162,11 @@ fn the_line_that_is_typed_can_be_clicked() {
     desk.press(100, 39);
     desk.stage.keys(NOW, "Y");
     assert_eq!(desk.typed(), "port arXmR.beatY");
-    // A completion of a filter is the filter at once.
+    // A completion that is clicked while a filter is typed takes effect at once.
     let mut desk = busy("/hal");
     desk.click("Tab: |halt");
     assert_eq!((desk.typed().as_str(), desk.stage.app.filter()), ("halt", "halt"));
-    // An answer is removed, and a title is left, by clicks, too.
+    // A click also removes an answer on the bottom line, and ends the selection of a title.
     let mut desk = busy("m");
     desk.click("marked at");
     assert!(desk.stage.app.told.is_none());

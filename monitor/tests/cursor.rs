@@ -87,7 +87,8 @@ const SCREENS: [(Screen, &str); 12] = [
     (Screen::Help, "?"),
 ];
 
-/// Also while the events and the timeline follow, and on a narrow screen: one row has the sign, and Enter acts on it.
+/// Exactly one row has the cursor's sign, and Enter acts on that row. This also holds on a narrow screen, and while
+/// the events and the timeline follow new rows.
 #[test]
 fn every_screen_shows_where_enter_acts() {
     let known: Vec<_> = SCREENS.iter().map(|(screen, _)| *screen).collect();

@@ -1,4 +1,5 @@
-//! Tests of cut links: one node sends, the other one hears nothing, and no task is accused instead.
+//! Tests of cut links: one node sends, and the other one receives nothing. The monitor must then name the link, and
+//! no task.
 
 use crate::common::{Stage, beam, codes, ms, snapshot};
 use crossterm::event::{KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
@@ -9,7 +10,8 @@ use imrs_monitor::theme::Theme;
 use imrs_protocol::NodeId;
 use imrs_wire::obs::{Count, LinkView, ServerFrame, Snapshot};
 
-/// A state of a node at `at` milliseconds: what it has sent to its peer, and how long it has heard nothing.
+/// A state of a node at `at` milliseconds: the number of packets that it has sent to its peer, and for how long it
+/// has received none.
 fn state(node: usize, at: u64, sent: u64, silent_ms: u64) -> Snapshot {
     let peer = NodeId(u16::from(node == 0));
     let mut state = snapshot(node);
@@ -18,8 +20,8 @@ fn state(node: usize, at: u64, sent: u64, silent_ms: u64) -> Snapshot {
     state
 }
 
-/// Both arms' nodes for some seconds from 1 s on. `of` returns, for a node and the milliseconds since then, what it has sent
-/// and for how many milliseconds it has heard nothing.
+/// Simulates both arms' nodes from second 1 on. `of` gets a node and the milliseconds since then. It returns how many
+/// packets the node has sent, and for how many milliseconds it has received none.
 fn run(stage: &mut Stage, from: u64, to: u64, of: impl Fn(usize, u64) -> (u64, u64)) {
     for at in (from..to).step_by(100) {
         for node in 0..2 {
@@ -81,24 +83,24 @@ fn what_is_sent_and_does_not_arrive_is_a_cut_link() {
         assert!(shown.lines().any(|line| line.starts_with("> - nr (pid")), "{keys}: {shown}");
         stage.typed(now, (120, 40), "g");
     }
-    // As soon as something arrives again, the link is well.
+    // As soon as a packet arrives again, the link does not count as cut any more.
     run(&mut stage, 7_000, 7_200, |_, at| (3 * at / 1_000, 20));
     assert_eq!(cuts(stage.app.store(), &beam(), ms(8_200)).len(), 0);
 }
 
 #[test]
 fn a_quiet_link_and_packets_on_their_route_are_no_cut() {
-    // Nothing is sent.
+    // If no packets are sent, no link counts as cut.
     let mut stage = Stage::cell(Theme::ASCII);
     run(&mut stage, 0, 9_000, |_, at| (3, at));
     assert_eq!(cuts(stage.app.store(), &beam(), ms(10_000)).len(), 0);
-    // A burst after that is found only if it has not arrived two seconds later.
+    // Packets that are sent in a burst later make the link count as cut only if none has arrived two seconds later.
     let burst = |_, at: u64| (if at < 9_000 { 3 } else { 30 }, at);
     run(&mut stage, 9_000, 10_900, burst);
     assert_eq!(cuts(stage.app.store(), &beam(), ms(11_900)).len(), 0);
     run(&mut stage, 10_900, 11_500, burst);
     assert_eq!(cuts(stage.app.store(), &beam(), ms(12_500)).len(), 2);
-    // Four lost packets may be chance.
+    // Four lost packets may be lost by chance.
     let mut stage = Stage::cell(Theme::ASCII);
     run(&mut stage, 0, 9_000, |_, at| (if at < 2_000 { 3 } else { 7 }, at));
     assert_eq!(cuts(stage.app.store(), &beam(), ms(10_000)).len(), 0);
@@ -106,7 +108,8 @@ fn a_quiet_link_and_packets_on_their_route_are_no_cut() {
 
 #[test]
 fn a_node_that_drops_or_was_stopped_has_no_cut_link() {
-    // What a node could not send says nothing of what arrives at it.
+    // The counter `other_statements` shows that datagrams arrive and are dropped. The other two counters do not show
+    // that, so the link still counts as cut.
     for name in ["other_statements", "send_refused", "stale_session"] {
         let mut stage = Stage::cell(Theme::ASCII);
         for at in (0..7_000).step_by(100) {
@@ -123,7 +126,7 @@ fn a_node_that_drops_or_was_stopped_has_no_cut_link() {
             "{name}"
         );
     }
-    // The right arm's node stands still from 1 s on, and goes on at 6 s.
+    // The process of the right arm's node is suspended from 1 s to 6 s.
     let mut stage = Stage::cell(Theme::ASCII);
     for at in (0..6_000).step_by(100) {
         for node in 0..if at < 1_000 { 2 } else { 1 } {

@@ -129,7 +129,7 @@ fn a_recording_that_begins_in_the_middle_begins_with_all_that_is() {
     take(arrival(period(0), whole(0, 0)));
     (1..10).for_each(|n| take(arrival(period(n), change(0, n - 1, n))));
     tape.start(&path, period(9)).unwrap();
-    // Deltas without a base in the recording cannot be applied, until the node sends a whole snapshot.
+    // Deltas whose base is not in the recording cannot be applied. The node then sends a whole snapshot.
     (10..13).for_each(|n| take(arrival(period(n), change(0, n - 1, n))));
     take(arrival(period(13), whole(0, 13)));
     (14..40).for_each(|n| take(arrival(period(n), change(0, n - 1, n))));
@@ -190,7 +190,7 @@ fn while_paused_one_goes_back_in_the_present_run() {
     assert_eq!(shown(&stage), (id, 700), "and the present");
 }
 
-/// A verdict of the validator comes from no connection, but is still shown at its time.
+/// A verdict of the validator belongs to no connection, but a player that moves back still shows it at its time.
 #[test]
 fn the_verdict_is_known_while_one_goes_back() {
     let mut stage = Stage::new(Theme::MONO);

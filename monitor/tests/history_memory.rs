@@ -16,7 +16,7 @@ struct Run {
     seconds: u64,
     history: usize,
     process: usize,
-    /// While the user moves back in the history.
+    /// The greatest memory of the process while the user moves back in the history.
     moving_back: usize,
 }
 

@@ -1,4 +1,4 @@
-//! Tests with hostile nodes: no frame makes the monitor panic or reaches the terminal unescaped.
+//! Tests with hostile nodes: no frame makes the monitor panic, and no text of a frame reaches the terminal unescaped.
 
 use crate::common::{Stage, events, identity, ms, observed, snapshot, table};
 use imrs_monitor::report;

@@ -345,7 +345,7 @@ fn figures_of_the_port_say_since_when_they_count() {
         let attached = shown.lines().find(|line| line.contains("service p50")).unwrap();
         assert!(attached.starts_with(" since attached: ") && !attached.contains("since start"), "{attached}");
     }
-    // The fill is of the last samples, and `bypassed` is a state of now.
+    // The fill is from the latest samples, and `bypassed` is the present number.
     let mut stage = Stage::busy(Theme::ASCII);
     let queue = QueueView { handled: true, bypassed: 3, bypass_limit: 9, queue: Vec::new() };
     let ports = vec![PortDetail { task: TaskId(1), port: BEAT, age_us: 0, queue }];
@@ -366,7 +366,7 @@ fn figures_of_the_port_say_since_when_they_count() {
     }
 }
 
-/// At forty columns the verdict of a large cell is said in fewer words, and is whole.
+/// At forty columns the verdict on a large cell has fewer words, and no word is cut.
 #[test]
 fn a_long_verdict_is_said_in_fewer_words() {
     let stage = Stage::crowd_at_work(Theme::ASCII);

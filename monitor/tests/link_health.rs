@@ -39,7 +39,7 @@ fn delays(count: u64, late: u64, p99_us: u64) -> Delays {
     Delays { count, late, p50_us: 90, p99_us, max_us: p99_us }
 }
 
-/// The codes about links, and the row of links on the first screen.
+/// The codes of the findings about links, and the row of links on the overview.
 fn shown(stage: &mut Stage, at: u64) -> (Vec<&'static str>, String) {
     let codes =
         codes(stage.app.store(), ms(at)).into_iter().filter(|code| code.starts_with("link-")).collect();
@@ -68,7 +68,7 @@ fn a_delay_is_shown_beside_its_bound_and_warned_of_when_it_comes_near() {
         let text = report::text(stage.app.store(), None, ms(at));
         let words = format!("\n    link from nl: {} in 6.00s\n", recent.beside(bound));
         assert!(text.contains(&words), "{words}: {text}");
-        // A narrow screen has the 99th percentile alone.
+        // A narrow screen shows only the 99th percentile.
         let narrow = stage.typed(ms(at), (80, 24), "1");
         let words = recent
             .briefly_beside(bound)
@@ -76,13 +76,13 @@ fn a_delay_is_shown_beside_its_bound_and_warned_of_when_it_comes_near() {
         let row = narrow.lines().find(|line| line.contains(" links ")).expect("the links");
         assert!(row.contains(&words) && !row.contains("p50"), "{words}: {row}");
     }
-    // A report of long ago is not shown any more.
+    // An old report is not shown any more.
     let (codes, row) = shown(&mut stage, 6_000);
     assert!(codes.is_empty() && !row.contains('/'), "{row}");
 }
 
-/// A link of the same node, and its timers, are late, too. That is less direct than what the port reports, and may be by
-/// chance, so it never takes the port's place on the first screen.
+/// A link of the node, and its timers, are late, too. They name a cause less directly than the port's finding, and
+/// may be late by chance. So they never replace the port's finding on the overview.
 #[test]
 fn a_slight_fault_of_a_link_displaces_nothing_that_a_port_reports() {
     let mut stage = Stage::cell(Theme::ASCII);
@@ -134,7 +134,8 @@ fn selected(shown: &str) -> &str {
     shown.lines().find(|line| line.starts_with('>')).expect("a selected row")
 }
 
-/// Enter on an event of a link leads to the node that reported it; so does a dropped datagram that is of no task.
+/// Enter on an event of a link leads to the node that reported the event. So does Enter on a dropped datagram that
+/// belongs to no task.
 #[test]
 fn enter_on_an_event_of_a_link_leads_to_the_node_that_reported_it() {
     let mut stage = Stage::cell(Theme::ASCII);
@@ -155,7 +156,8 @@ fn enter_on_an_event_of_a_link_leads_to_the_node_that_reported_it() {
     assert!(selected(&shown).starts_with("> - nh (pid"), "{shown}");
 }
 
-/// A link that is late, or faulty, leads to the node that receives too late, whichever end that is.
+/// A click on a late or faulty link leads to the node that receives the datagrams too late, whichever end of the link
+/// that is.
 #[test]
 fn a_click_on_a_link_leads_to_the_end_that_is_in_trouble() {
     let bound = bound(&Stage::cell(Theme::ASCII));
@@ -200,7 +202,7 @@ fn a_node_that_a_neighbour_saw_stop_is_not_dead_and_not_missing() {
     stage.frame(ms(2_200), 1, frame.clone());
     assert!(!codes(stage.app.store(), ms(2_200)).contains(&"node-dead"));
     assert!(shown(&mut stage, 2_200).1.contains("nl-nr STOPPED"));
-    // A monitor that came later has never seen the node.
+    // A monitor that started later has never seen the node.
     let mut stage = Stage::new(Theme::ASCII);
     stage.attach(ms(1_000), 1, 1);
     stage.attach(ms(1_000), 2, 1);

@@ -1,4 +1,4 @@
-//! Tests that what matters on a narrow screen is drawn whole or not at all.
+//! Tests that important texts on a narrow screen are drawn completely or not at all.
 
 use crate::common::Stage;
 use crate::common::crowd::CROWD_NOW;

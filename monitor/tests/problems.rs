@@ -104,7 +104,8 @@ fn asked() -> Stage {
     stage
 }
 
-/// A block that no finding mentions has a row of its own. Its page is about its own cause.
+/// A block that no finding mentions has a row of its own. `x` on this row shows the page about the cause of the
+/// block.
 #[test]
 fn the_page_of_a_block_is_about_its_cause() {
     let mut stage = asked();

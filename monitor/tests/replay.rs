@@ -218,7 +218,7 @@ fn a_recording_shows_what_was_seen_live() {
         take(ms(5), node, Feed::Attached { identity: identity(node as usize, 1), pid: 800 + node, build });
         take(ms(5), node, Feed::Frame(Box::new(ServerFrame::Table(table()))));
     }
-    // The recording also contains the nodes and states from before its start.
+    // The recording begins with the last state of each node, although the nodes sent these states before its start.
     tape.start(&path, ms(10)).unwrap();
     for node in 0..3_u32 {
         take(ms(1_010), node, Feed::Frame(Box::new(ServerFrame::Snapshot(snapshot(node as usize)))));

@@ -38,7 +38,7 @@ fn titles(stage: &Stage, now: Duration, width: u16, height: u16) -> Vec<&'static
     view(&stage.app, now, buffer.area, &mut buffer).titles()
 }
 
-/// A walk over the titles of all screens at all widths: a new column without an explanation fails here.
+/// Visits the titles of all screens at all widths. A new column without an explanation makes this test fail.
 #[test]
 fn every_title_has_an_explanation_whatever_the_width() {
     for (keys, known) in SCREENS {
@@ -180,7 +180,7 @@ fn the_help_cuts_no_name() {
     }
 }
 
-/// A walk over the texts of all screens: a new abbreviation without a line in the help fails here.
+/// Visits the texts of all screens. A new abbreviation without a line in the help makes this test fail.
 #[test]
 fn every_abbreviation_of_a_screen_stands_in_its_help() {
     let (mut all, mut missing) = (BTreeSet::new(), BTreeSet::new());
@@ -233,7 +233,7 @@ fn tab_goes_through_the_titles_and_the_help_begins_with_the_selected_one() {
                 shown.lines().last().unwrap().starts_with(&format!(" {told}")),
                 "{keys} {title}: {shown}"
             );
-            // The title is marked where it stands.
+            // The title is marked at its place on the screen.
             let marked = (1..39).any(|y| {
                 let is_marked = |x: u16| buffer[(x, y)].modifier.contains(ratatui::style::Modifier::REVERSED);
                 let marked: String =
@@ -253,7 +253,7 @@ fn tab_goes_through_the_titles_and_the_help_begins_with_the_selected_one() {
             .unwrap_or_default();
         let told = explain_column(screen, title).unwrap();
         assert!(row.contains(told.split_once(": ").unwrap().1.get(..20).unwrap()), "{keys} {title}: {help}");
-        // Back on the screen the title is still selected. Another key ends that, and Esc only that.
+        // Back on the screen the title is still selected. Another key ends the selection; Esc does nothing else.
         stage.key(ms(1_150), KeyCode::Esc);
         assert_eq!((stage.app.screen, stage.app.title()), (screen, Some(title)), "{keys}");
         stage.key(ms(1_150), KeyCode::Esc);

@@ -124,7 +124,7 @@ fn what_is_wrong_is_said_while_it_is_typed() {
         assert!(foot(&mut stage, 160).contains(said), "{typed}: {}", foot(&mut stage, 160));
         press(&mut stage, &[KeyCode::Esc]);
     }
-    // A text that is the beginning of a valid command is no error.
+    // The beginning of a valid command is no error while it is typed.
     for typed in ["", "po", "port", "port be", "theme co", "q"] {
         stage.keys(NOW, &format!(":{typed}"));
         assert_eq!(stage.app.slip(), None, "{typed}");
@@ -148,7 +148,7 @@ fn a_theme_may_be_abbreviated() {
     assert_eq!(stage.app.theme.name, "colour");
 }
 
-/// A filter that cannot work on its screen says so while it is typed, and after Enter.
+/// If no row of the screen can match a filter, an error says so while the filter is typed, and after Enter.
 #[test]
 fn a_filter_that_means_nothing_on_its_screen_says_so() {
     for (keys, typed, said) in [
@@ -174,7 +174,8 @@ fn a_filter_that_means_nothing_on_its_screen_says_so() {
         assert_eq!(told.is_empty(), said.is_none(), "{typed}: {told}");
         assert!(told.contains(said.unwrap_or_default()), "{typed}: {told}");
     }
-    // Only what helps is proposed: no fields on the timeline, and those of events for events.
+    // Only words that can match are proposed: no fields on the timeline, and the fields of events on the event
+    // screen.
     for (keys, word, proposed) in [("4", "sla", 0), ("6", "pee", 1), ("6", "capa", 0), ("1", "capa", 1)] {
         let mut stage = Stage::busy(Theme::ASCII);
         stage.keys(NOW, &format!("{keys}/{word}"));

@@ -114,7 +114,7 @@ pub fn meet(ctx: &mut Context, port: PortId) -> Result<(), TaskError> {
     }
 }
 
-/// Waits for the result that a task of the node sends, and stops the node.
+/// Waits for the result that a task of the node sends through `told`, and then stops the node.
 pub fn hear<T>(node: Runtime, told: &Receiver<T>) -> T {
     let heard = told.recv_timeout(LONG);
     stop(node);

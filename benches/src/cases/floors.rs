@@ -119,7 +119,7 @@ pub fn spin_then_futex(effort: Effort) -> Sample {
             let _ = futex::wake(&line, futex::Flags::PRIVATE, 1);
         }
     };
-    // `STOP` contains the `ASLEEP` bit, so in this case the values 0 and 1 say whose turn it is, and 2 ends the loop.
+    // `STOP` contains the `ASLEEP` bit. So here 0 and 1 say which thread runs next, and 2 ends the loop.
     let (wait, pass) = (&wait, &pass);
     cores::pin(Core::First);
     let sample = thread::scope(|s| {

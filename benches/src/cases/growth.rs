@@ -85,7 +85,7 @@ fn expiries(suite: &mut Suite) {
         );
     }
     let few = "machine/expiry among 16 messages";
-    // The same bound as for the queue itself: the logarithm of 10,000 is 3.3 times that of 16.
+    // The bound is that of the queue itself: the logarithm of 10,000 is 3.3 times that of 16.
     suite.row(Row::new("growth", "machine/expiry among 10000 messages", few, Stat::P50, Goal::AtMost(4.0)));
 }
 
@@ -245,7 +245,7 @@ fn expiry(effort: Effort, table: &Arc<CellTable>, waiting: u16) -> Sample {
     let mut node = Node::new(NodeTable::new(Arc::clone(table), NodeId(0)), Incarnation(0), false, 4);
     let all = u64::from(waiting);
     for message in 0..all {
-        // 7,919 has no common divisor with 16 or 10,000, so each of the times is drawn once.
+        // 7,919 has no common divisor with 16 or 10,000, so each expiry time is used exactly once.
         send(&mut node, PortId(0), (1 + message * 7_919 % all) * STEP);
     }
     each(effort.of(50_000), GROUP, || {
@@ -283,8 +283,8 @@ fn allocations() -> Sample {
                     })
                 })
             };
-            // Several series are counted, and the least result is kept, because at the beginning other threads may not
-            // sleep yet.
+            // Several series are counted, and the least result is kept: during the first series, other threads may
+            // not sleep yet.
             let mut least = None;
             for _ in 0..5 {
                 let (done, allocated) = series();

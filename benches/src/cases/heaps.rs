@@ -17,7 +17,7 @@ pub struct Heaps {
 type Placed = (u64, u64, u16);
 
 impl Heaps {
-    /// Makes heaps without entries, with a second order of the entries if `two`.
+    /// Makes the heaps without entries. If `two` is true, a second heap contains each key, too.
     #[must_use]
     pub fn new(capacity: u16, two: bool) -> Self {
         let heap = || BinaryHeap::with_capacity(usize::from(capacity));
@@ -52,7 +52,7 @@ impl Heaps {
         entries[usize::from(place)].as_ref().is_some_and(|waiting| waiting.number == number)
     }
 
-    /// Removes the most urgent entry. Then drops keys of removed entries from the top of the other order.
+    /// Removes the most urgent entry. Then removes the keys of entries that are gone from the top of the second heap.
     pub fn pop(&mut self) -> Option<Waiting> {
         let first = loop {
             let Reverse(key) = self.urgent.pop()?;

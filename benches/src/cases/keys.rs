@@ -1,4 +1,5 @@
-//! What keys between nodes cost (D191), compared with the same work without keys, and for each datagram that is refused.
+//! Measures what keys between nodes cost (D191): traffic with keys beside the same traffic without, and the refusal
+//! of each kind of forged datagram.
 
 use super::cells;
 use super::network::{ASLEEP, Asking, COALESCED, Closing, ask, one_way, two_links, two_nodes};
@@ -23,8 +24,8 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
 const NODES: [NodeId; 2] = [NodeId(0), NodeId(1)];
-/// The number of datagrams that wait in the socket when the link begins to refuse them. This number is too small for a
-/// flood, after which the link would pause.
+/// How many forged datagrams the socket contains when the link begins to refuse them. More would count as a flood,
+/// after which the link pauses.
 const WAITING: usize = 15;
 /// How long the link waits for further datagrams.
 const SHORT: Duration = Duration::from_millis(20);

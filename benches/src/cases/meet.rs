@@ -67,7 +67,7 @@ pub fn meetings() -> Suite {
         suite.row(Row::new("P9", own.clone(), &name("floor/std Barrier"), Stat::P50, Goal::AtLeast(times)));
         suite.row(Row::new("P9", own, &name("floor/futex barrier"), Stat::P50, Goal::AtMost(2.0)));
     }
-    // Each of n members takes the arrivals of the n - 1 others.
+    // Each of n members receives the arrivals of the n - 1 others.
     let (many, few) = ("runtime/scripts meet of 16", "runtime/scripts meet of 4");
     let flat = Row::new("P10", many, few, Stat::P50, Goal::AtMost(1.1));
     suite.row(flat.for_each("arrival", [16 * 15, 4 * 3]));

@@ -20,13 +20,13 @@ use std::time::{Duration, Instant};
 
 /// How many packets of 32 bytes the baseline of goal P12 puts into one datagram.
 pub const COALESCED: usize = 43;
-/// How long a message that goes one way may be held back so that others can leave with it: not at all. Messages leave
-/// together only if they were sent in one `together`, or wait anyway.
+/// How long a one-way message may be delayed so that later messages share its datagram: not at all. Messages share a
+/// datagram only if a task sent them in one `together`, or if they wait anyway.
 pub const HELD_BACK: Duration = Duration::ZERO;
-/// How many datagrams one call sends, if the kernel cuts the call into datagrams.
+/// How many datagrams one system call sends, if the kernel divides the data into datagrams (GSO).
 const SEGMENTS: usize = 4;
 
-/// How many packets one such call sends.
+/// How many packets such a call sends.
 const BURST: u64 = (COALESCED * SEGMENTS) as u64;
 
 /// The suite of round trips and streams over UDP.
@@ -109,7 +109,7 @@ fn messages_one_way(suite: &mut Suite) {
     suite.row(Row::new("P12", stream, floor, Stat::Mean, Goal::AtLeast(0.8)));
     let together = "runtime/UDP one way, 172 together";
     suite.row(Row::new("P12", together, floor, Stat::Mean, Goal::AtLeast(1.1)).was(">= 1.5"));
-    // This row shows how much such calls save if only the calls cost time (D129).
+    // This row shows how much sending several datagrams in one call saves at most (D129).
     let segmented = "floor/UDP one way, 43 a datagram, segmented";
     suite.row(Row::new("P12", segmented, floor, Stat::Mean, Goal::AtLeast(1.0)));
     for name in ["one core", "two cores"] {
@@ -156,10 +156,10 @@ pub fn two_nodes(table: &Arc<CellTable>, closing: Closing) -> [Builder; 2] {
     })
 }
 
-/// How two nodes ask each other.
+/// The settings of a measurement of round trips between two nodes.
 #[derive(Clone, Copy)]
 pub struct Asking {
-    /// Who watches the nodes.
+    /// Whether the nodes are recorded or observed.
     pub how: Watched,
     /// How long the tasks spin before they sleep.
     pub spin: Duration,
@@ -169,7 +169,7 @@ pub struct Asking {
     pub together: bool,
 }
 
-/// The tasks sleep before every message, and nothing is added.
+/// The tasks sleep before every message. The nodes are neither recorded nor observed, and have no keys.
 pub const ASLEEP: Asking =
     Asking { how: Watched::Not, spin: Duration::ZERO, closing: Closing::Checksum, together: false };
 

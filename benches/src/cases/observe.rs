@@ -227,7 +227,7 @@ fn of_monitor(run: impl FnOnce() + Send + 'static) -> JoinHandle<()> {
 /// Running monitors.
 struct Monitors {
     observer: Option<Observer>,
-    /// The folder of the socket, as the cell of a real node has one.
+    /// The folder of the node's socket. A real node uses the folder of its cell.
     folder: Option<PathBuf>,
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
@@ -279,7 +279,7 @@ impl Monitors {
         self.stop.store(true, Ordering::Relaxed);
         self.threads.into_iter().for_each(|thread| thread.join().expect("it only reads"));
         drop(self.observer);
-        // An empty folder that stays is no reason to end a measurement.
+        // If the empty folder cannot be removed, the measurement is still valid.
         let _ = self.folder.map(std::fs::remove_dir);
     }
 }
@@ -322,7 +322,8 @@ fn wait(stop: &AtomicBool) {
     }
 }
 
-/// A new folder. In a folder of others, the node would find their files whenever it looks for the sockets of other nodes.
+/// A new folder. A node searches its folder for the sockets of other nodes, so in a shared folder it would find
+/// foreign files.
 fn folder() -> PathBuf {
     static FOLDERS: AtomicU32 = AtomicU32::new(0);
     let number = FOLDERS.fetch_add(1, Ordering::Relaxed);

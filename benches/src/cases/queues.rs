@@ -88,7 +88,7 @@ fn deadlines() -> impl FnMut(u64) -> u64 {
     }
 }
 
-/// Measures a queue that has room for one more entry than wait in it.
+/// Measures a queue that has room for one more entry than it contains.
 fn held(effort: Effort, mut queue: Queue<Waiting>) -> Sample {
     let mut next = deadlines();
     let mut number = 0;

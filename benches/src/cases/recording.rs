@@ -205,7 +205,7 @@ fn recorded(times: u32) -> (Arc<CellTable>, Vec<u8>) {
 }
 
 fn replay(effort: Effort) -> Sample {
-    // There are so few steps that all of them fit into the buffer in front of the sink, however late the writing thread is.
+    // All of these steps fit into the buffer before the sink, so none is lost even if the writing thread runs late.
     let (table, bytes) = recorded(3_500);
     let table = NodeTable::new(table, NodeId(0));
     let (times, mut events) = (effort.of(20), 0);

@@ -13,9 +13,9 @@ use std::sync::mpsc::{TryRecvError, channel, sync_channel};
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
-/// How many messages wait in front of the urgent one.
+/// How many messages are queued before the urgent one is sent.
 pub const BEHIND: u16 = 1_024;
-/// How long the receiver works for each of the messages that wait.
+/// How long the receiver works for each queued message.
 const SERVICE: Duration = Duration::from_micros(2);
 /// How many messages of one sender may be in flight at once.
 pub const WINDOW: u64 = 256;
@@ -72,8 +72,8 @@ pub fn times(effort: Effort) -> u32 {
     effort.of(100).max(9)
 }
 
-/// Fills a channel that `make` makes, sends the urgent message, then lets the receiver begin. Both threads are awake,
-/// on two cores.
+/// Fills a channel made by `make`, sends the urgent message, and only then lets the receiver begin. Both threads are
+/// awake, on two cores.
 pub fn urgent_through<S, R>(effort: Effort, make: impl Fn() -> (S, R)) -> Sample
 where
     S: FnMut(bool) + Send,
@@ -132,7 +132,7 @@ impl Gate {
         }
     }
 
-    /// The sender calls this when all other messages wait. Returns when the receiver is awake.
+    /// The sender calls this when all other messages are queued. Returns when the receiver is awake.
     fn filled(&self, time: u64) {
         self.reach(4 * time + 1);
         self.until(4 * time + 2, std::hint::spin_loop);

@@ -17,9 +17,9 @@ const BYTES: [u8; 32] = [7; 32];
 /// How long the connecting side waits before it checks again whether the other side is there.
 const LOOK: Duration = Duration::from_millis(5);
 
-// All three are compared with the same delay. zenoh has a setting for it. libzmq has none and never holds a message back: it
-// switches the kernel's own delay off (TCP_NODELAY), and its thread sends what waits. Nor has the runtime one: messages
-// leave at the end of `together`.
+// All three systems are compared without a delay for collecting messages. zenoh has a setting for this delay. libzmq
+// and the runtime have none and never delay a message: libzmq switches the kernel's delay off (TCP_NODELAY), and the
+// runtime sends at the end of `together`.
 const _: () = assert!(HELD_BACK.is_zero(), "libzmq and the runtime have no setting for another delay");
 
 /// Adds these libraries to a suite.
@@ -226,7 +226,7 @@ fn zenoh_put(effort: Effort) -> Sample {
     let publisher = here.declare_publisher("news").congestion_control(zenoh::qos::CongestionControl::Block);
     let publisher = publisher.wait().expect("a publisher");
     let put = || publisher.put(&BYTES[..]).wait().expect("sent");
-    // The loop ends when this peer knows that the other one listens. Messages up to then do not count.
+    // The loop ends when this peer knows that the other one listens. Messages sent before are not counted.
     while told.try_recv().is_err() {
         put();
         std::thread::sleep(LOOK);

@@ -30,8 +30,8 @@ pub fn join(suite: &mut Suite) {
             "32 bytes there and back, REQ and REP over TCP on the loopback, two single-threaded runtimes",
             move |effort| req_rep(effort.of(1_000), other),
         );
-        // These bounds follow from other bounds: the runtime may take 1.2 times the baseline's time on one core and
-        // 1.15 times on two; tokio took 1.4 times on one core.
+        // These bounds follow from the bounds of the runtime, which may take 1.2 times the baseline's time on one
+        // core and 1.15 times on two. On one core tokio took 1.4 times the baseline's time.
         let (zeromq, tokio) = if other == Core::First { (3.5, 1.15) } else { (1.3, 0.87) };
         for (peer, times) in [("zeromq/REQ-REP", zeromq), ("tokio/UDP", tokio), ("tokio/TCP", tokio)] {
             let (own, peer) = (format!("runtime/UDP {name}"), format!("{peer} {name}"));

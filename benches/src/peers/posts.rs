@@ -22,7 +22,7 @@ pub enum Note {
     Urgent(Instant),
 }
 
-/// The receiver that every library runs.
+/// The receiver that every library runs. It serves the messages and answers the question [`Took`].
 #[derive(Debug, Default)]
 pub struct Clerk {
     took: u64,

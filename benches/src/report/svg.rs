@@ -46,7 +46,7 @@ pub fn plot(facts: &Facts, slack: f64, all: &[Results]) -> String {
 
 fn bar(outcome: &Outcome, slack: f64, y: f64, text: &impl Fn(f64, f64, &str, &str) -> String) -> String {
     let Some(found) = outcome.ratio else { return String::new() };
-    // Which share of its bound a row uses, for both kinds of goals.
+    // The part of its bound that a row uses up. For both kinds of goals, 1 is exactly at the bound.
     let share = |value: f64| match outcome.row.goal {
         Goal::AtMost(bound) => value / bound,
         Goal::AtLeast(bound) => bound / value,

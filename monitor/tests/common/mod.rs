@@ -40,7 +40,7 @@ pub fn cell() -> Cell {
     cell_with(Ticks(200_000))
 }
 
-/// The cell in which a message of `beat` may be used for so long.
+/// The cell in which a message of the port `beat` has this TTL.
 pub fn cell_with(beat: Ticks) -> Cell {
     let mut cell = Cell::new("beam-lift", Ticks(1_000));
     let nodes = NODES.map(|n| cell.node(n));

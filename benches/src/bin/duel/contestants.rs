@@ -48,7 +48,7 @@ fn node(own: NodeId, is_class_2: bool) -> Builder {
     cell.link(near, far, Ticks(1_000));
     let ttl = Ticks(u64::try_from(TTL.as_micros()).expect("a short time"));
     let port = PortDecl::new("command", commander, Usage::Send, &[executor], ttl).bounded_buffer(16);
-    // `retry = 2` of the guide: the copies are spread over the time_out, and are executed once.
+    // The guide's `retry = 2`: the copies are spread over the time_out, and the command is executed once.
     cell.port(if is_class_2 { port.command().retry(2, Ticks(ttl.0 / 3)) } else { port });
     let table = Arc::new(CellTable::new(cell).expect("a sound cell"));
     let (here, other, there) =
@@ -63,7 +63,7 @@ fn node(own: NodeId, is_class_2: bool) -> Builder {
 fn imrs(length: Duration, is_class_2: bool) {
     let near = node(NodeId(0), is_class_2).task("commander", move |ctx| {
         command(length, |bytes| {
-            // Of a command that was not answered in time, nothing is known; the next command follows.
+            // Whether a command without an answer was executed is unknown; the next command follows anyway.
             let _outcome = ctx.send(PORT, bytes).expect("a port of this task");
         })
     });
@@ -76,7 +76,7 @@ fn serve(is_class_2: bool) {
         while let Some(message) = ctx.receive(Some(PORT), None)? {
             execute(message.contents.as_bytes());
             if is_class_2 {
-                // The commander may wait no longer.
+                // The answer may be too late for the commander, which is no error here.
                 let _late = ctx.reply(&message.from, b"done");
             }
         }
@@ -161,8 +161,8 @@ fn socket(context: &zmq::Context, kind: zmq::SocketType, is_newest: bool) -> zmq
     socket
 }
 
-/// The reliable client of the guide ("Lazy Pirate"): a client whose answer does not come in time closes its socket and
-/// connects another one. It does not send the old command again, because the command is worthless by then.
+/// The reliable client of the guide ("Lazy Pirate"): if an answer is late, the client closes its socket and connects
+/// a new one. It does not send the old command again, because that command is worthless by then.
 fn zmq_req(length: Duration) {
     let context = zmq::Context::new();
     let connected = || {

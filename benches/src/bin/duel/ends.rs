@@ -32,9 +32,9 @@ pub fn execute(bytes: &[u8]) {
     sleep(EXECUTION);
 }
 
-/// Sends the stream. Each command has its own slot of [`PERIOD`]; slots that pass while a command waits for its answer
-/// are left out. Reports how many commands were sent, and waits until the parent process ends this one, because messages
-/// that wait in a library leave only while it is there.
+/// Sends the stream and reports how many commands were sent. Each command has its own slot of [`PERIOD`]; slots that
+/// pass while a command waits for its answer are skipped. Then waits until the parent process ends this process,
+/// because a library sends its queued messages only while its process lives.
 pub fn command(length: Duration, mut send: impl FnMut(&[u8; Command::BYTES])) -> ! {
     let warm = Instant::now();
     while warm.elapsed() < WARM_FOR {

@@ -1,4 +1,5 @@
-//! Two hosts: network namespaces, whose network cards this process connects. It drops a share of all packets between them.
+//! Two hosts: network namespaces, each with a network card. This process connects the cards, and drops a share of all
+//! packets between them.
 
 use crate::ends::{COMMANDER, EXECUTOR};
 use nix::sched::{CloneFlags, unshare};
@@ -17,7 +18,7 @@ const LOOK_EVERY: i64 = 20_000_000;
 /// Starts an end of the stream on a host of its own. Returns its process and the other end of its network card.
 pub fn start(is_executor: bool, program: &mut Command) -> io::Result<(Child, File)> {
     let address = if is_executor { EXECUTOR } else { COMMANDER };
-    // The thread alone moves into the new namespace. The process that it starts stays there.
+    // Only this thread moves into the new namespace. The process that it starts stays there.
     thread::scope(|scope| {
         let made = scope.spawn(move || {
             unshare(CloneFlags::CLONE_NEWNET)?;

@@ -109,7 +109,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// One end of a stream, which ends with this value.
+/// One end of a stream. Dropping this value kills its process.
 struct End {
     process: Child,
     lines: Lines<BufReader<ChildStdout>>,
@@ -125,7 +125,7 @@ impl End {
         Ok(self.lines.next().ok_or("an end of the stream has failed")??)
     }
 
-    /// Reads the next line, which must be this one.
+    /// Reads the next line of the process, and fails if it is another one.
     fn expect(&mut self, line: &str) -> Result<(), Box<dyn Error>> {
         let said = self.line()?;
         if said == line { Ok(()) } else { Err(format!("`{said}` came instead of `{line}`").into()) }
@@ -174,7 +174,7 @@ fn stream(
     Ok(tally)
 }
 
-/// Makes the conditions while `work` runs.
+/// Causes the conditions (loss, pauses, load) while `work` runs.
 fn under<T>(conditions: &Conditions, cable: &Cable, executor: Pid, seed: u64, work: impl FnOnce() -> T) -> T {
     let over = AtomicBool::new(false);
     let is_over = || over.load(Ordering::Relaxed);
@@ -205,7 +205,7 @@ fn pause(executor: Pid, mut draws: fastrand::Rng, is_over: impl Fn() -> bool) {
     while !is_over() {
         let before = (Duration::from_secs(1) - PAUSE).mul_f64(draws.f64());
         thread::sleep((second + before).saturating_duration_since(Instant::now()));
-        // The process is this program's own child, and was not waited for, so its number is still its own.
+        // The process is a child of this program and was not waited for, so its process id is not in use again.
         let _ = kill_process(executor, Signal::STOP);
         thread::sleep(PAUSE);
         let _ = kill_process(executor, Signal::CONT);
