@@ -11,7 +11,7 @@ mod support;
 use imrs_model::worlds::Meeting;
 use imrs_model::{Budget, Exploration, Limits, Reductions, Watch, WorldModel, explore};
 use imrs_protocol::{CommTask, Input, Observation, Outbox, Packet, Request, Signal, Ticks, TimeId};
-use stateright::Checker;
+use stateright::{Checker, Model};
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 use support::reference::ReferenceModel;
