@@ -197,7 +197,7 @@ pub struct PortOption {
     pub span: Span,
 }
 
-/// The options of Figures 1 and 2, and this project's own.
+/// The options of a port: those of Figures 1 and 2 of the paper of 1987, and this project's own.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PortOptionKind {
     /// `usage = query`

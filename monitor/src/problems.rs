@@ -30,7 +30,7 @@ pub enum Problem {
 /// Identifies a row even when its position changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProblemKey {
-    /// A finding, or a block, by its code and place.
+    /// A finding, or what blocks the cell without one, by its code and place.
     At(&'static str, Place),
     /// A message near its deadline.
     Message(IncarnationId, TaskId, PortId, Option<(TaskId, MessageId)>),

@@ -20,7 +20,7 @@ use std::sync::Arc;
 struct Wait {
     /// The number of rejections that the receiver's port has counted so far.
     counted: u64,
-    /// The number of rejections by rank since the request arrived.
+    /// How often the port has rejected messages since the request arrived, because they did not outrank what the task did.
     rejected: u64,
     /// The number of messages of other tasks that were taken since the request arrived.
     passed: u64,

@@ -33,7 +33,7 @@ pub struct State {
 /// expanded before the controls that follow from it, and these are then reached with larger zones.
 type Turn = Reverse<(Reverse<u32>, u32, u32)>;
 
-/// A zone of a control.
+/// A set of times (a zone) with which the search has reached one control: one value of everything else in a state.
 struct Known {
     left: Left,
     zone: Dbm,

@@ -187,7 +187,7 @@ impl Workshop {
         let watch = if self.served {
             CellProperty::Served { port: asks }
         } else {
-            // The rivals have one more rank above them.
+            // The port of the rivals is rejected most often, because one more rank is above it.
             let rank = self.rank + u8::from(self.rivals > 0);
             let refusals = Service { rank, ..service }.most_refusals();
             CellProperty::Fair { task: worker, bypasses: u8::MAX, refusals }
