@@ -2,7 +2,7 @@
 //! of each kind of forged datagram.
 
 use super::cells;
-use super::network::{ASLEEP, Asking, COALESCED, Closing, ask, one_way, two_links, two_nodes};
+use super::network::{ASLEEP, Asking, COALESCED, Closing, ask, one_way, started, two_links, two_nodes};
 use super::urgent::WINDOW;
 use crate::cores::{self, Core};
 use crate::harness::Spread;
@@ -45,17 +45,15 @@ enum Forged {
 
 /// Adds the cases and rows about keys to the suite.
 pub fn join(mut suite: Suite) -> Suite {
-    for (name, other) in [("keys/UDP one core", Core::First), ("keys/UDP two cores", Core::Second)] {
-        suite.case(
-            name,
-            "as runtime/UDP, with keys: each datagram is encrypted, with one tag",
-            move |effort| ask(effort, other, Asking { closing: Closing::Keys, ..ASLEEP }),
-        );
-    }
+    suite.case(
+        "keys/UDP one core",
+        "as runtime/UDP, with keys: each datagram is encrypted, with one tag",
+        |effort| ask(effort, Core::First, Asking { closing: Closing::Keys, ..ASLEEP }),
+    );
     suite.case(
         IN_TURNS,
         "the round trips of keys/UDP and of runtime/UDP in turns of 50, so that other programs and the state of the cores meet both alike; counts how many times the median of a turn without keys the median of the turn with keys after it is, and takes the median of these ratios",
-        |effort| in_turns(effort, Core::Second),
+        in_turns,
     );
     suite.case("keys/UDP one way", "as runtime/UDP one way, with keys", |effort| {
         one_way(effort, COALESCED as u64, WINDOW, Closing::Keys)
@@ -96,22 +94,18 @@ struct Pair {
 }
 
 impl Pair {
-    fn start(closing: Closing, other: Core) -> Self {
+    fn start(closing: Closing) -> Self {
         let table = cells::asking(2, Usage::Send);
         let [a, b] = two_nodes(&table, closing).map(|node| node.spin(Duration::ZERO));
         let ((begin, begins), (tell, took)) = (channel(), channel());
-        // A node's own threads run on the core of the thread that starts the node.
-        cores::pin(other);
-        let b = b.task("t1", cells::answer).start().expect("a node that starts");
-        cores::pin(Core::First);
         let turns = move |ctx: &mut Context| {
             while begins.recv().is_ok() {
                 tell.send(cells::ask(ctx, &cells::FULL, TURN, 1)?).expect("the harness listens");
             }
             Ok(())
         };
-        let a = a.task("t0", turns).start().expect("a node that starts");
-        Self { nodes: [a, b], begin, took }
+        let nodes = started([a.task("t0", turns), b.task("t1", cells::answer)], Core::Second);
+        Self { nodes, begin, took }
     }
 
     /// The median time of a round trip in the next turn.
@@ -126,8 +120,8 @@ impl Pair {
     }
 }
 
-fn in_turns(effort: Effort, other: Core) -> Sample {
-    let pairs = [Closing::Checksum, Closing::Keys].map(|closing| Pair::start(closing, other));
+fn in_turns(effort: Effort) -> Sample {
+    let pairs = [Closing::Checksum, Closing::Keys].map(Pair::start);
     let ratios = (0..effort.of(60)).map(|_| {
         let [plain, keyed] = pairs.each_ref().map(Pair::turn);
         keyed / plain

@@ -173,6 +173,15 @@ pub struct Asking {
 pub const ASLEEP: Asking =
     Asking { how: Watched::Not, spin: Duration::ZERO, closing: Closing::Checksum, together: false };
 
+/// Starts the asking node on the first core, and the answering one on `other`. A node's own threads run on the core of
+/// the thread that starts the node.
+pub fn started([asking, answering]: [Builder; 2], other: Core) -> [Runtime; 2] {
+    cores::pin(other);
+    let answering = answering.start().expect("a node that starts");
+    cores::pin(Core::First);
+    [asking.start().expect("a node that starts"), answering]
+}
+
 /// Measures round trips between two nodes over UDP. The tasks run on the first core and on `other`.
 pub fn ask(effort: Effort, other: Core, asking: Asking) -> Sample {
     let Asking { how, spin, closing, together } = asking;
@@ -182,19 +191,15 @@ pub fn ask(effort: Effort, other: Core, asking: Asking) -> Sample {
     let (a, b) = (onlookers[0].told_by(a), onlookers[1].told_by(b));
     let (tell, told) = channel();
     let times = effort.of(1_500);
-    // A node's own threads run on the core of the thread that starts the node.
-    cores::pin(other);
     let answer =
         move |ctx: &mut Context| if together { ctx.together(cells::answer) } else { cells::answer(ctx) };
-    let b = b.task("t1", answer).start().expect("a node that starts");
-    cores::pin(Core::First);
     let measure = move |ctx: &mut Context| {
         let ask = |ctx: &mut Context| cells::ask(ctx, &cells::FULL, times, 1);
         let sample = if together { ctx.together(ask) } else { ask(ctx) };
         tell.send(sample?).expect("the harness listens");
         Ok(())
     };
-    let a = a.task("t0", measure).start().expect("a node that starts");
+    let [a, b] = started([a.task("t0", measure), b.task("t1", answer)], other);
     onlookers.iter_mut().zip([&a, &b]).for_each(|(onlooker, node)| onlooker.look(how, node));
     let sample = cells::hear(a, &told);
     cells::stop(b);
