@@ -5,14 +5,15 @@ use crate::support::live::{Seen, figure};
 use crate::support::program::Program;
 use crate::support::{imrs, number, own_address, run_in, runtime_dir};
 
-/// `b` thinks about each question for longer than this test takes.
+/// `b` thinks about each question for longer than this test takes. `a` repeats its question, because `b` may start so late that the
+/// first one is lost.
 const THINKS: &str = "\
 cell thinks;
 tick 10 msec;
 node na at \"HOST\" port FIRST;  node nb at \"HOST\" port SECOND;
 link na -- nb delay 10 msec;
 task a on na
-  port ask(n: int8) -> int8  usage = query  user_list = {b}  time_out = 90 sec  class = 2;
+  port ask(n: int8) -> int8  usage = query  user_list = {b}  time_out = 90 sec  class = 2  resend = 500 msec;
   var n: int8;
 begin
   query ask(n) -> n on time_out do skip; end;

@@ -92,13 +92,20 @@ impl Terminal {
     }
 
     pub fn wait_for(&self, what: &str, is_there: impl Fn(&str) -> bool) -> String {
-        let end = Instant::now() + PATIENCE;
+        self.look(PATIENCE, is_there).unwrap_or_else(|screen| panic!("waited in vain for {what}:\n{screen}"))
+    }
+
+    /// Looks at the screen until it is as wanted, for at most this time. The error is the last screen.
+    fn look(&self, within: Duration, is_there: impl Fn(&str) -> bool) -> Result<String, String> {
+        let end = Instant::now() + within;
         loop {
             let screen = self.screen();
             if is_there(&screen) {
-                return screen;
+                return Ok(screen);
             }
-            assert!(Instant::now() < end, "waited in vain for {what}:\n{screen}");
+            if Instant::now() >= end {
+                return Err(screen);
+            }
             thread::sleep(LOOK_EVERY);
         }
     }
@@ -157,14 +164,8 @@ impl Terminal {
                 // A press of the left button, in the form in which terminals report it; rows and columns count from one.
                 self.keys(&["-l", &format!("\u{1b}[<0;{};{}M", x + 1, y + 1)]);
             }
-            let again = Instant::now() + BETWEEN_CLICKS;
-            while Instant::now() < again {
-                if is_there(&self.screen()) {
-                    return;
-                }
-                thread::sleep(LOOK_EVERY);
-            }
-            assert!(Instant::now() < end, "clicks on `{word}` never showed {what}:\n{}", self.screen());
+            let Err(screen) = self.look(BETWEEN_CLICKS, &is_there) else { return };
+            assert!(Instant::now() < end, "clicks on `{word}` never showed {what}:\n{screen}");
         }
     }
 
