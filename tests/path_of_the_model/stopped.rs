@@ -13,7 +13,8 @@ tick 10 msec;
 node na at \"HOST\" port FIRST;  node nb at \"HOST\" port SECOND;
 link na -- nb delay 10 msec;
 task a on na
-  port ask(n: int8) -> int8  usage = query  user_list = {b}  time_out = 90 sec  class = 2  resend = 500 msec;
+  port ask(n: int8) -> int8  usage = query  user_list = {b}  time_out = 90 sec  class = 2
+    retry = 100  resend = 500 msec;
   var n: int8;
 begin
   query ask(n) -> n on time_out do skip; end;

@@ -1,6 +1,7 @@
 //! Difference-bound matrices over integers: each describes a set of points by bounds on differences of variables.
 
 mod bounds;
+mod growth;
 mod minimal;
 
 use bounds::Bounds;

@@ -3,6 +3,7 @@
 use super::concrete;
 use super::runner::Runner;
 use super::search::Search;
+use super::store::Widening;
 use crate::cell::done::Done;
 use crate::cell::judge::Reached;
 use crate::cell::plan::{CellFaults, CellPlan, Times};
@@ -16,8 +17,8 @@ use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Searches a cell by zones. Every finding that it returns was found again on plain ticks. If one is not, and some zones became
-/// their hull, that hull may be the reason; then the cell is searched once more without hulls.
+/// Searches a cell by zones. Every finding that it returns was found again on plain ticks. If one is not, and some zones were
+/// widened, that may be the reason; then the cell is searched once more without acceleration, and at last without hulls, too.
 pub(in crate::cell) fn explore(
     plan: &Arc<CellPlan>,
     of: (Phase, usize),
@@ -26,20 +27,26 @@ pub(in crate::cell) fn explore(
 ) -> Done {
     let start = Instant::now();
     progress.started(of, plan.times);
-    let (done, is_certain) = explore_with(plan, plan.zones, of, faults, (start, progress));
-    if is_certain { done } else { explore_with(plan, usize::MAX, of, faults, (start, progress)).0 }
+    let first = Widening::of(plan);
+    let without_acceleration = Widening { accelerates: false, ..first };
+    let search = |widening| explore_with(plan, widening, of, faults, (start, progress));
+    let (mut done, mut is_certain) = search(first);
+    if !is_certain && first.accelerates {
+        (done, is_certain) = search(without_acceleration);
+    }
+    if is_certain { done } else { search(Widening::NONE).0 }
 }
 
-/// Searches with at most `most` zones of a control. Also returns whether nothing was found that comes from a hull alone.
+/// Searches with zones that may be widened. Also returns whether each finding was found again, or no zone was widened.
 fn explore_with(
     plan: &Arc<CellPlan>,
-    most: usize,
+    widening: Widening,
     (phase, hypothesis): (Phase, usize),
     faults: &CellFaults,
     (start, progress): (Instant, &dyn SearchProgress),
 ) -> (Done, bool) {
     let runners = (0..plan.jobs.max(1)).map(|_| Runner::new(plan, phase, faults)).collect();
-    let mut search = Search::new(runners, most);
+    let mut search = Search::new(runners, widening);
     let mut ended_by = search.run(plan, (start, progress)).or_else(|| search.shortcoming());
     let hits = std::mem::take(&mut search.hits);
     let pruned = hits.iter().any(|hit| hit.shown.last || hit.shown.kind == Kind::Deadlock);
@@ -54,7 +61,7 @@ fn explore_with(
             }
         }
     }
-    let is_certain = told.len() == hits.len() || search.store.hulls == 0;
+    let is_certain = told.len() == hits.len() || search.store.widened == 0;
     if ended_by.is_none() {
         told.extend(standstill(plan, (phase, hypothesis), faults, &mut search));
     }
@@ -68,7 +75,7 @@ fn explore_with(
         times: Times::Zones,
         parts: 1,
         states: store.len() as u64,
-        inexact: inexact + store.hulls,
+        inexact: inexact + store.widened,
         moves: runners.iter().map(|runner| runner.moves).sum(),
         depth,
         whole_depth: if open == 0 { depth } else { 0 },

@@ -4,6 +4,7 @@
 //!   runner    runs the moves of a cell on symbolic times, from one kept state to the next, once for each way that its times allow
 //!   reduce    what these runs leave out, and how the zones that are kept grow (D194)
 //!   store     the kept states: for each control, the zones that were reached
+//!   growth    accelerates a zone that grows and grows (D221)
 //!   origins   how the kept states were reached
 //!   search    expands kept states
 //!   still     finds standstills among the kept states
@@ -30,6 +31,7 @@ mod concrete;
 mod explore;
 mod fixed;
 mod found;
+mod growth;
 mod origins;
 mod path;
 mod ranges;

@@ -2,7 +2,7 @@
 
 use super::runner::{From, Run, Runner};
 use super::still::Walks;
-use super::store::Store;
+use super::store::{Store, Widening};
 use crate::Silent;
 use crate::cell::judge::Shown;
 use crate::cell::plan::{Budget, CellFaults, CellPlan};
@@ -57,9 +57,9 @@ pub(super) struct Search {
 }
 
 impl Search {
-    /// A search without states. If a control would have more than `most` zones, the search keeps their hull instead.
-    pub fn new(runners: Vec<Runner>, most: usize) -> Self {
-        let (store, walks) = (Store::new(most), Walks::default());
+    /// A search without states.
+    pub fn new(runners: Vec<Runner>, widening: Widening) -> Self {
+        let (store, walks) = (Store::new(widening), Walks::default());
         Self { runners, store, hits: Vec::new(), walks, inexact: 0, outgrown: false, longest: 0, expanded: 0 }
     }
 
@@ -82,7 +82,7 @@ impl Search {
         (phase, faults): (Phase, &CellFaults),
         (control, zone): (Box<[u8]>, Dbm),
     ) -> bool {
-        let mut search = Self::new(vec![Runner::new(plan, phase, faults)], plan.zones);
+        let mut search = Self::new(vec![Runner::new(plan, phase, faults)], Widening::of(plan));
         let core = core(&search.runners[0], &control);
         search.store.insert(control, core, zone, (None, &[], 0));
         let budget = Budget { states: MOST_STILL, seconds: f64::INFINITY, ..plan.budget };

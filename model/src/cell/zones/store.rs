@@ -1,6 +1,8 @@
 //! The kept states of a search by zones: for each control, the zones with which it was reached.
 
+use super::growth::Growth;
 use super::origins::{List, Origin, Origins};
+use crate::cell::plan::CellPlan;
 use crate::cell::run_state::canon::Left;
 use crate::zone::dbm::{Dbm, KeptZones};
 use std::cmp::Reverse;
@@ -41,6 +43,8 @@ struct Known {
     state: Option<u32>,
     /// The states whose times are in this zone.
     states: Vec<u32>,
+    /// How the zone has grown since it was expanded.
+    growth: Growth,
 }
 
 /// The controls that differ only in their remaining faults.
@@ -51,13 +55,30 @@ struct Group {
     known: Vec<Known>,
 }
 
+/// When a zone is widened: it gets times with which its control may not have been reached.
+#[derive(Clone, Copy, Default)]
+pub struct Widening {
+    /// The greatest number of zones of a control with the same remaining faults. If there would be more, the store keeps their hull.
+    pub most: usize,
+    /// Whether a zone that grows and grows is [accelerated](super::growth).
+    pub accelerates: bool,
+}
+
+impl Widening {
+    /// No zone is widened.
+    pub const NONE: Self = Self { most: usize::MAX, accelerates: false };
+
+    pub fn of(plan: &CellPlan) -> Self {
+        Self { most: plan.zones, accelerates: !plan.everything }
+    }
+}
+
 /// All kept states of a search.
 #[derive(Default)]
 pub struct Store {
-    /// The greatest number of zones of a control with the same remaining faults.
-    most: usize,
-    /// How many times zones became their hull.
-    pub hulls: u64,
+    widening: Widening,
+    /// How many times zones were widened.
+    pub widened: u64,
     /// The number of states whose times another state includes.
     passed: usize,
     pub states: Vec<State>,
@@ -74,9 +95,9 @@ pub struct Store {
 }
 
 impl Store {
-    /// A store without states. If a control would have more than `most` zones, the store keeps their hull instead.
-    pub fn new(most: usize) -> Self {
-        Self { most, ..Self::default() }
+    /// A store without states.
+    pub fn new(widening: Widening) -> Self {
+        Self { widening, ..Self::default() }
     }
 
     /// The state that now has the times of this state.
@@ -147,14 +168,20 @@ impl Store {
             zone = merged;
         }
         let is_like = |old: &&Known| old.left == left;
-        if known.iter().filter(is_like).count() >= self.most {
-            self.hulls += 1;
+        if known.iter().filter(is_like).count() >= self.widening.most {
+            self.widened += 1;
             zone = known.iter().filter(is_like).fold(zone, |all, old| all.hull(&old.zone));
             let others = replace(known, states, (left, &zone), number);
             self.passed += others.len();
             origins = others.into_iter().fold(origins, |all, others| self.origins.join(all, others));
         }
-        known.push(Known { left, zone, state: Some(number), states: vec![number] });
+        known.push(Known {
+            left,
+            zone,
+            state: Some(number),
+            states: vec![number],
+            growth: Growth::default(),
+        });
         states.push(State { control, group, place: Place::Open, origins, depth });
         self.open.push(Reverse((Reverse(left.total()), control, number)));
         vec![number]
@@ -176,11 +203,17 @@ impl Store {
             self.open.pop();
             let known = &mut self.groups[state.group as usize].known;
             if is_open && let Some(at) = known.iter().position(|known| known.state == Some(number)) {
+                let ahead = if self.widening.accelerates { ahead(known, at) } else { None };
+                if let Some((_, ahead)) = &ahead {
+                    self.widened += 1;
+                    known[at].zone = ahead.clone();
+                }
                 let zone = known[at].zone.clone();
                 state.place = Place::Kept(self.kept.keep(&zone));
                 next.push((number, zone));
                 known[at].state = None;
-                merge_expanded(known, at);
+                let joins = ahead.or_else(|| partners(known, at, |_| true).next());
+                merge_expanded(known, at, joins);
             }
         }
         next
@@ -227,20 +260,38 @@ impl State {
     }
 }
 
-/// Joins an expanded zone with other expanded zones, if their union is a zone.
-fn merge_expanded(known: &mut Vec<Known>, mut at: usize) {
-    loop {
-        let one = &known[at];
-        let mut merged = known.iter().enumerate().filter_map(|(j, other)| {
-            let may = j != at && other.state.is_none() && one.left == other.left;
-            may.then(|| one.zone.merged(&other.zone)).flatten().map(|zone| (j, zone))
-        });
-        let Some((j, zone)) = merged.next() else { return };
-        known[at].zone = zone;
-        let states = std::mem::take(&mut known[j].states);
-        known[at].states.extend(states);
-        known.swap_remove(j);
+/// The expanded zones that may join and whose union with the zone at a place is a zone, each with that union.
+fn partners(
+    known: &[Known],
+    at: usize,
+    may_join: impl Fn(&Known) -> bool,
+) -> impl Iterator<Item = (usize, Dbm)> {
+    let one = &known[at];
+    known.iter().enumerate().filter_map(move |(other, expanded)| {
+        let may = other != at && expanded.state.is_none() && one.left == expanded.left && may_join(expanded);
+        may.then(|| one.zone.merged(&expanded.zone)).flatten().map(|joined| (other, joined))
+    })
+}
+
+/// An expanded zone that grows and grows, the last time by the zone at a place, and the zone to which it would grow.
+fn ahead(known: &[Known], at: usize) -> Option<(usize, Dbm)> {
+    partners(known, at, |known| known.growth.may_repeat()).find_map(|(other, joined)| {
+        let Known { growth, zone, .. } = &known[other];
+        growth.ahead(zone, &joined).map(|ahead| (other, ahead))
+    })
+}
+
+/// Joins an expanded zone with other expanded zones, if their union is a zone. `joins` is the first of them, with the union.
+fn merge_expanded(known: &mut Vec<Known>, mut at: usize, mut joins: Option<(usize, Dbm)>) {
+    while let Some((other, joined)) = joins {
+        let Known { zone, states, mut growth, .. } = known.swap_remove(other);
         // `swap_remove` has put the last zone in the place of the removed one.
-        at = if at == known.len() { j } else { at };
+        at = if at == known.len() { other } else { at };
+        growth.note(zone);
+        let one = &mut known[at];
+        one.zone = joined;
+        one.states.extend(states);
+        one.growth.join(growth);
+        joins = partners(known, at, |_| true).next();
     }
 }

@@ -7,6 +7,7 @@
 
 use super::runner::{QUIET, Runner};
 use super::search::{Search, core};
+use super::store::Widening;
 use crate::Silent;
 use crate::cell::guard::{Agreement, Disagreement};
 use crate::cell::outside::with_programs;
@@ -34,7 +35,7 @@ pub fn compare_zones_with_walks(
     let hypotheses = plan.faults.iter().filter(|faults| !faults.are_none());
     let phases = std::iter::once((Phase::FaultFree, CellFaults::default()));
     for (phase, faults) in phases.chain(hypotheses.map(|faults| (Phase::Faults, faults.clone()))) {
-        let mut search = Search::new(vec![Runner::new(&plan, phase, &faults)], plan.zones);
+        let mut search = Search::new(vec![Runner::new(&plan, phase, &faults)], Widening::of(&plan));
         let ended_by = search.run(&plan, (Instant::now(), &Silent));
         agreement.searches += 1;
         agreement.states += search.store.len() as u64;
