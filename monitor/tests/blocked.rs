@@ -92,6 +92,31 @@ fn a_dead_node_is_named_half_a_second_after_its_death_and_not_the_ones_that_may_
     assert!(!shown.contains("armR@nr"), "{shown}");
 }
 
+/// Several tasks are named together only if what the banner says of the first one holds for all of them. Otherwise the
+/// others are counted.
+#[test]
+fn tasks_in_different_states_are_not_named_together() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    for node in 1..3 {
+        let mut away = snapshot(node);
+        away.tasks[0].view.state = TaskState::Running;
+        away.tasks[0].view.meetings[0].state = MeetingState::Away;
+        stage.frame(ms(1_000), node, ServerFrame::Snapshot(away));
+    }
+    let mut arm = snapshot(0);
+    arm.tasks[0].view.meetings[0].members[1].arrived = false;
+    arm.tasks[0].view.meetings[0].remaining = Some(Ticks(300_000));
+    stage.frame(ms(1_000), 0, ServerFrame::Snapshot(arm));
+    let shown = banner(&stage, ms(1_100), 160);
+    assert!(shown.contains(" armR@nr, hoist@nh - run - holds 1 of 3"), "{shown}");
+    let mut hoist = snapshot(2);
+    hoist.tasks[0].view.meetings[0].state = MeetingState::Away;
+    stage.frame(ms(1_050), 2, ServerFrame::Snapshot(hoist));
+    let shown = banner(&stage, ms(1_100), 160);
+    assert!(shown.contains(" armR@nr - run, +1 other - holds 1 of 3"), "{shown}");
+    assert!(!shown.contains("hoist"), "{shown}");
+}
+
 #[test]
 fn a_dead_node_for_which_no_task_waits_is_named_too() {
     let mut stage = Stage::cell(Theme::ASCII);
