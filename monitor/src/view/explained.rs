@@ -70,6 +70,7 @@ const OVERVIEW: &[(&str, &str)] = &[
     ("links", "ok: a packet arrived in the last second; quiet: none for so long"),
     ("p50 p99 max", "of a link: half, 99 of 100, all took at most so many ms lately"),
     ("ok 1.20/5 ms", "p99 / the declared bound, where p50 and max have no room"),
+    ("late near", "of a link: p99 is above its bound; above four fifths of it"),
     ("too few", "to judge: less than 20 datagrams were measured lately"),
     ("DOWN CUT", "of a link: a node at its end is gone; what is sent does not arrive"),
     ("STOPPED", "of a link: a node at its end has stopped in order, or a neighbour says so"),
