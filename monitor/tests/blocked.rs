@@ -232,20 +232,34 @@ fn a_key_and_a_click_lead_to_the_culprit() {
 }
 
 #[test]
-fn the_culprit_is_the_loudest_row_and_the_held_tasks_are_only_warned_of() {
+fn the_rows_of_the_culprit_are_the_loudest_and_the_held_tasks_are_only_warned_of() {
     let mut stage = Stage::busy(Theme::COLOUR);
     stage.lose(ms(1_500), 2);
     let buffer = stage.draw(ms(3_000), 120, 40);
     let shown = crate::common::text(&buffer);
-    let row = |word: &str| {
+    let row = |word: &str| -> u16 {
         shown.lines().position(|l| l.trim_start().starts_with(&format!("▾ {word}"))).unwrap() as u16
     };
-    let colour = |y: u16| (buffer[(6, y)].fg, buffer[(6, y)].bg);
     let alarm = Theme::COLOUR.style(imrs_monitor::theme::Ink::Alarm);
-    assert_eq!(colour(row("hoist")), (alarm.fg.unwrap(), alarm.bg.unwrap()));
+    let is_alarm = |y: u16, x: u16| {
+        let cell = &buffer[(x, y)];
+        (cell.fg, cell.bg) == (alarm.fg.unwrap(), alarm.bg.unwrap())
+    };
+    // The row of the dead node and that of its task are in the alarm's colours from the first column to the last.
+    let dead = shown.lines().position(|line| line.trim_start().starts_with("✗ nh")).unwrap() as u16;
+    for y in [dead, row("hoist")] {
+        assert!((0..120).all(|x| is_alarm(y, x)), "{y}: {shown}");
+    }
     let warn = Theme::COLOUR.style(imrs_monitor::theme::Ink::Warn).fg.unwrap();
     for arm in ["armL", "armR"] {
-        assert_eq!(colour(row(arm)).0, warn, "{arm}");
+        let y = row(arm);
+        assert!((0..120).all(|x| !is_alarm(y, x)), "{arm}: {shown}");
+        let end = shown.lines().nth(y.into()).unwrap().find("waitfor").unwrap() as u16;
+        let text = (6..end + 7).filter(|x| buffer[(*x, y)].symbol() != " ");
+        assert!(
+            text.clone().count() > 8 && text.clone().all(|x| buffer[(x, y)].fg == warn),
+            "{arm}: {shown}"
+        );
     }
     assert!(shown.lines().nth(row("hoist").into()).unwrap().contains("!! holds 2 of 3"), "{shown}");
 }
