@@ -30,6 +30,7 @@ mod steer;
 mod targets;
 mod timeline;
 mod titles;
+mod trouble;
 mod typing;
 mod waits;
 
