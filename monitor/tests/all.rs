@@ -21,6 +21,7 @@ mod narrow;
 mod overview;
 mod problems;
 mod query;
+mod reading;
 mod reduce;
 mod replay;
 mod replay_screens;

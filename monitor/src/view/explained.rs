@@ -205,7 +205,7 @@ const PROBLEMS: &[(&str, &str)] = &[
     ("PROBLEM", "what is wrong, or what is left for the message"),
     ("PLACE", "node, task and port; indented: a consequence of the row above"),
     ("CODE", "of the finding: x explains it, and so does `imrs explain CODE`"),
-    ("next deadline", "a queued message; those with the least time to spare come first"),
+    ("next deadline", "a queued message: likely misses by time left, then others by time to spare"),
     ("MISS", "the message will likely expire before it is served"),
     ("TTL", "time to live: what a message had when it was sent"),
     ("needs", "when it is likely done: place in the queue x 99th percentile of service"),
