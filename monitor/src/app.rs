@@ -383,9 +383,10 @@ impl App {
             Msg::Key(event) if self.entry_line.is_some() => self.typed(&event, now),
             Msg::Key(event) => {
                 let told = self.told.take().is_some();
-                let effect = self.keymap.action(&event, self.screen).map(|action| self.press(action, now));
+                let action = self.keymap.action(&event, self.screen);
+                let told = told | (action.is_none() && self.lacks_filter(&event));
                 let nothing = if told { Effect::Draw } else { Effect::Nothing };
-                effect.unwrap_or(nothing)
+                action.map_or(nothing, |action| self.press(action, now))
             }
             Msg::Mouse(event) => self.clicked(event, now),
         }

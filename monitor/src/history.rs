@@ -5,7 +5,7 @@
 //! oldest segment can be dropped at any time. So the memory is bounded, however much arrives.
 
 use crate::clock::Moment;
-use crate::replay::{Film, Reel, is_odd};
+use crate::replay::{Film, Reel, Trouble, Troubles};
 use crate::source::{Arrival, Feed, SourceId};
 use crate::store::{NodeIncarnation, Store};
 pub use crate::verdicts::LENGTH;
@@ -35,6 +35,7 @@ pub struct History {
     /// How many bytes of the budget [`Self::reserve`] left to the stores that are shown while the screen is paused.
     reserved: usize,
     verdicts: Verdicts,
+    troubles: Troubles,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -72,29 +73,32 @@ impl History {
         if self.open.reel.began().is_none_or(|began| at.saturating_sub(began) >= REEL) {
             self.turn(*at, before);
         }
-        let (bytes, odd) = match feed {
-            Feed::Attached { identity, pid, build } => (self.attached(*source, identity, *pid, build), false),
+        let (bytes, trouble) = match feed {
+            Feed::Attached { identity, pid, build } => {
+                (self.attached(*source, identity, *pid, build), Trouble::None)
+            }
             Feed::Frame(frame) => {
                 let shown = Shown::Said((**frame).clone());
-                let (bytes, odd): (Arc<[u8]>, _) = (shown.encode().into(), is_odd(&shown));
+                let bytes: Arc<[u8]> = shown.encode().into();
                 if matches!(**frame, ServerFrame::Table(_))
                     && let Some(known) = self.present(*source)
                 {
                     known.table = Some(Arc::clone(&bytes));
                 }
-                (bytes, odd)
+                (bytes, self.troubles.of(&shown, *source, *at, before))
             }
             Feed::Lost { why } => {
-                let bytes: Arc<[u8]> = Shown::Lost { why: why.clone() }.encode().into();
+                let shown = Shown::Lost { why: why.clone() };
+                let bytes: Arc<[u8]> = shown.encode().into();
                 if let Some(known) = self.present(*source) {
                     known.lost = Some(Arc::clone(&bytes));
                 }
-                (bytes, true)
+                (bytes, self.troubles.of(&shown, *source, *at, before))
             }
             Feed::Judged { .. } | Feed::Failed { .. } | Feed::Left | Feed::Stale { .. } => return,
         };
         self.open.last = *at;
-        Arc::make_mut(&mut self.open.reel).put(*at, number, odd, &bytes);
+        Arc::make_mut(&mut self.open.reel).put(*at, number, trouble, &bytes);
         // A large segment is closed early, so that dropping a segment loses only a small part of the history.
         if self.open.reel.weight() >= BUDGET / 16 {
             self.close();
@@ -159,15 +163,15 @@ impl History {
         let mut opening = Reel::default();
         for known in &self.known {
             let Ok(number) = u16::try_from(known.source.0) else { continue };
-            opening.put(at, number, false, &known.attached);
+            opening.put(at, number, Trouble::None, &known.attached);
             if let Some(table) = &known.table {
-                opening.put(at, number, false, table);
+                opening.put(at, number, Trouble::None, table);
             }
             if let Some(state) = state_of(known, before) {
-                opening.put(at, number, false, &Shown::Said(ServerFrame::Delta(state)).encode());
+                opening.put(at, number, Trouble::None, &Shown::Said(ServerFrame::Delta(state)).encode());
             }
             if let Some(lost) = &known.lost {
-                opening.put(at, number, false, lost);
+                opening.put(at, number, Trouble::None, lost);
             }
         }
         opening.close();

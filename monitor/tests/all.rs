@@ -21,6 +21,7 @@ mod narrow;
 mod overview;
 mod problems;
 mod query;
+mod reading;
 mod reduce;
 mod replay;
 mod replay_screens;
@@ -30,6 +31,7 @@ mod steer;
 mod targets;
 mod timeline;
 mod titles;
+mod trouble;
 mod typing;
 mod waits;
 

@@ -92,6 +92,31 @@ fn a_dead_node_is_named_half_a_second_after_its_death_and_not_the_ones_that_may_
     assert!(!shown.contains("armR@nr"), "{shown}");
 }
 
+/// Several tasks are named together only if what the banner says of the first one holds for all of them. Otherwise the
+/// others are counted.
+#[test]
+fn tasks_in_different_states_are_not_named_together() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    for node in 1..3 {
+        let mut away = snapshot(node);
+        away.tasks[0].view.state = TaskState::Running;
+        away.tasks[0].view.meetings[0].state = MeetingState::Away;
+        stage.frame(ms(1_000), node, ServerFrame::Snapshot(away));
+    }
+    let mut arm = snapshot(0);
+    arm.tasks[0].view.meetings[0].members[1].arrived = false;
+    arm.tasks[0].view.meetings[0].remaining = Some(Ticks(300_000));
+    stage.frame(ms(1_000), 0, ServerFrame::Snapshot(arm));
+    let shown = banner(&stage, ms(1_100), 160);
+    assert!(shown.contains(" armR@nr, hoist@nh - run - holds 1 of 3"), "{shown}");
+    let mut hoist = snapshot(2);
+    hoist.tasks[0].view.meetings[0].state = MeetingState::Away;
+    stage.frame(ms(1_050), 2, ServerFrame::Snapshot(hoist));
+    let shown = banner(&stage, ms(1_100), 160);
+    assert!(shown.contains(" armR@nr - run, +1 other - holds 1 of 3"), "{shown}");
+    assert!(!shown.contains("hoist"), "{shown}");
+}
+
 #[test]
 fn a_dead_node_for_which_no_task_waits_is_named_too() {
     let mut stage = Stage::cell(Theme::ASCII);
@@ -207,20 +232,34 @@ fn a_key_and_a_click_lead_to_the_culprit() {
 }
 
 #[test]
-fn the_culprit_is_the_loudest_row_and_the_held_tasks_are_only_warned_of() {
+fn the_rows_of_the_culprit_are_the_loudest_and_the_held_tasks_are_only_warned_of() {
     let mut stage = Stage::busy(Theme::COLOUR);
     stage.lose(ms(1_500), 2);
     let buffer = stage.draw(ms(3_000), 120, 40);
     let shown = crate::common::text(&buffer);
-    let row = |word: &str| {
+    let row = |word: &str| -> u16 {
         shown.lines().position(|l| l.trim_start().starts_with(&format!("▾ {word}"))).unwrap() as u16
     };
-    let colour = |y: u16| (buffer[(6, y)].fg, buffer[(6, y)].bg);
     let alarm = Theme::COLOUR.style(imrs_monitor::theme::Ink::Alarm);
-    assert_eq!(colour(row("hoist")), (alarm.fg.unwrap(), alarm.bg.unwrap()));
+    let is_alarm = |y: u16, x: u16| {
+        let cell = &buffer[(x, y)];
+        (cell.fg, cell.bg) == (alarm.fg.unwrap(), alarm.bg.unwrap())
+    };
+    // The row of the dead node and that of its task are in the alarm's colours from the first column to the last.
+    let dead = shown.lines().position(|line| line.trim_start().starts_with("✗ nh")).unwrap() as u16;
+    for y in [dead, row("hoist")] {
+        assert!((0..120).all(|x| is_alarm(y, x)), "{y}: {shown}");
+    }
     let warn = Theme::COLOUR.style(imrs_monitor::theme::Ink::Warn).fg.unwrap();
     for arm in ["armL", "armR"] {
-        assert_eq!(colour(row(arm)).0, warn, "{arm}");
+        let y = row(arm);
+        assert!((0..120).all(|x| !is_alarm(y, x)), "{arm}: {shown}");
+        let end = shown.lines().nth(y.into()).unwrap().find("waitfor").unwrap() as u16;
+        let text = (6..end + 7).filter(|x| buffer[(*x, y)].symbol() != " ");
+        assert!(
+            text.clone().count() > 8 && text.clone().all(|x| buffer[(x, y)].fg == warn),
+            "{arm}: {shown}"
+        );
     }
     assert!(shown.lines().nth(row("hoist").into()).unwrap().contains("!! holds 2 of 3"), "{shown}");
 }

@@ -280,6 +280,28 @@ fn bar(stage: &mut Stage, now: Duration) -> (usize, Vec<char>) {
     (row, shown.lines().nth(row).unwrap().chars().collect())
 }
 
+/// Frames go on arriving while the screen is paused. The bar ends at the pause all the same, also after a step back.
+#[test]
+fn the_bar_ends_at_the_pause() {
+    let mut stage = Stage::new(Theme::ASCII);
+    attached().into_iter().for_each(|arrival| {
+        stage.feed(arrival.at, 0, arrival.feed);
+    });
+    stage.frame(period(0), 0, whole(0, 0));
+    (1..50).for_each(|n| drop(stage.frame(period(n), 0, change(0, n - 1, n))));
+    let pause = period(49);
+    stage.draw(pause, 100, 24);
+    stage.key(pause, KeyCode::Char(' '));
+    let end = |stage: &mut Stage, now| {
+        let line: String = bar(stage, now).1.into_iter().collect();
+        line.split("] ").nth(1).unwrap().split("  ").next().unwrap().to_owned()
+    };
+    let first = end(&mut stage, pause);
+    (50..90).for_each(|n| drop(stage.frame(period(n), 0, change(0, n - 1, n))));
+    stage.key(period(90), KeyCode::Char('['));
+    assert_eq!(end(&mut stage, period(90)), first);
+}
+
 #[test]
 fn the_bar_shows_where_something_went_wrong_and_a_click_leads_there() {
     let mut stage = Stage::new(Theme::ASCII);
@@ -300,7 +322,7 @@ fn the_bar_shows_where_something_went_wrong_and_a_click_leads_there() {
     let (row, line) = bar(&mut stage, now);
     let place = |line: &[char], sign: char| line.iter().position(|c| *c == sign).unwrap();
     let (start, end) = (place(&line, '['), place(&line, ']'));
-    let trouble = place(&line, '!');
+    let trouble = place(&line, ':');
     assert!((0.25..0.35).contains(&((trouble - start) as f64 / (end - start) as f64)), "{line:?}");
     assert_eq!(place(&line, '#'), end - 1, "the moment of the pause: {line:?}");
     let click = |stage: &mut Stage, column: usize| {

@@ -370,7 +370,9 @@ fn figures_of_the_port_say_since_when_they_count() {
 #[test]
 fn a_long_verdict_is_said_in_fewer_words() {
     let stage = Stage::crowd_at_work(Theme::ASCII);
-    for (width, said) in [(40, "model: conforms, 2 nodes UNKNOWN"), (80, "steps, 2 nodes UNKNOWN")] {
+    for (width, said) in
+        [(40, "model: 2 UNKNOWN"), (64, "model: conforms, 2 nodes UNKNOWN"), (80, "steps, 2 nodes UNKNOWN")]
+    {
         let shown = stage.text(CROWD_NOW, width, 24);
         assert!(shown.lines().any(|line| line.trim_end().ends_with(said)), "{width}: {shown}");
     }

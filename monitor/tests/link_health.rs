@@ -1,5 +1,6 @@
 //! Tests of what nodes report of their links: delays against the declared bounds, and faulty links.
 
+use crate::common::crowd::CROWD_DEATH;
 use crate::common::{BEAT, Stage, beam, codes, ms, observed, snapshot};
 use crossterm::event::{KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
 use imrs_monitor::app::Msg;
@@ -63,7 +64,12 @@ fn a_delay_is_shown_beside_its_bound_and_warned_of_when_it_comes_near() {
         reports(&mut stage, at, recent, Integrity::default());
         let (codes, row) = shown(&mut stage, at);
         assert_eq!(codes, Vec::from_iter(code), "{recent:?}");
-        let words = format!("nl-nr ok {}", recent.beside(bound));
+        let word = match code {
+            None => "ok",
+            Some("link-late") => "late",
+            Some(_) => "near",
+        };
+        let words = format!("nl-nr {word} {}", recent.beside(bound));
         assert!(row.contains(&words), "{words}: {row}");
         let text = report::text(stage.app.store(), None, ms(at));
         let words = format!("\n    link from nl: {} in 6.00s\n", recent.beside(bound));
@@ -72,13 +78,36 @@ fn a_delay_is_shown_beside_its_bound_and_warned_of_when_it_comes_near() {
         let narrow = stage.typed(ms(at), (80, 24), "1");
         let words = recent
             .briefly_beside(bound)
-            .map_or_else(|| " nl-nr ok ".to_owned(), |words| format!("nl-nr ok {words}"));
+            .map_or_else(|| " nl-nr ok ".to_owned(), |words| format!("nl-nr {word} {words}"));
         let row = narrow.lines().find(|line| line.contains(" links ")).expect("the links");
         assert!(row.contains(&words) && !row.contains("p50"), "{words}: {row}");
     }
     // An old report is not shown any more.
     let (codes, row) = shown(&mut stage, 6_000);
     assert!(codes.is_empty() && !row.contains('/'), "{row}");
+}
+
+/// A link that is down, cut or faulty comes before one that is only late, and is in sight on every screen, beside the verdict.
+#[test]
+fn a_dead_link_comes_before_a_late_one_and_always_has_room() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    let bound = bound(&stage);
+    reports(&mut stage, 2_000, delays(500, 50, 9 * bound), Integrity::default());
+    stage.lose(ms(1_500), 2);
+    let dead = CROWD_DEATH + ms(3_000);
+    let mut crowd = Stage::crowd_for(Theme::ASCII, 152);
+    for width in (40..=160).step_by(4) {
+        for (stage, at, words) in
+            [(&mut stage, ms(2_100), ["nh DOWN", "UNKNOWN"]), (&mut crowd, dead, ["node3", "UNKNOWN"])]
+        {
+            let shown = stage.typed(at, (width, 20), "1");
+            let row = shown.lines().find(|line| line.contains("  model: ")).expect("the links");
+            let all = words.iter().chain(&["DOWN"]).all(|word| row.contains(word));
+            assert!(all, "{width}: {row}");
+            let (down, late) = (row.find("DOWN"), row.find("late"));
+            assert!(late.is_none() || down < late, "{width}: {row}");
+        }
+    }
 }
 
 /// A link of the node, and its timers, are late, too. They name a cause less directly than the port's finding, and

@@ -4,7 +4,7 @@ use crate::common::{BEAT, LIFT, Stage, events, identity, ms, observed, snapshot,
 use crossterm::event::KeyCode;
 use imrs_monitor::app::{App, Effect, Msg};
 use imrs_monitor::record::{Tape, free_name};
-use imrs_monitor::replay::{Film, Player};
+use imrs_monitor::replay::{Film, Player, Trouble};
 use imrs_monitor::source::{Arrival, Feed, SourceId};
 use imrs_monitor::store::Store;
 use imrs_monitor::theme::Theme;
@@ -152,8 +152,9 @@ fn what_was_recorded_of_nodes_plays_in_its_own_time() {
     records.iter_mut().for_each(|(_, at, _)| *at *= 100);
     let film = Film::read(written(&records).as_slice()).unwrap();
     assert_eq!((film.stops().len(), film.length()), (41, ms(8_000)));
-    let odd: Vec<usize> = (0..41).filter(|&i| film.stops()[i].odd).collect();
-    assert_eq!(odd, [3, 20], "a time_out and a death");
+    let troubles: Vec<_> = (0..41).map(|stop| (stop, film.stops()[stop].trouble)).collect();
+    let troubles: Vec<_> = troubles.into_iter().filter(|(_, trouble)| *trouble > Trouble::None).collect();
+    assert_eq!(troubles, [(3, Trouble::Slight), (20, Trouble::Grave)], "a time_out and a death");
     let mut player = Player::new(Arc::new(film), 2.0);
     player.toggle(ms(10));
     player.advance(ms(1_010));

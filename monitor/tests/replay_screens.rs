@@ -4,6 +4,7 @@ use crate::common::{Stage, ms, styles, text};
 use crate::replay::stage;
 use crossterm::event::{KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
 use imrs_monitor::app::Msg;
+use imrs_monitor::replay::Trouble;
 use imrs_monitor::theme::Theme;
 
 #[test]
@@ -93,7 +94,10 @@ fn a_click_on_the_bar_moves_in_a_recording() {
     assert_eq!((stop(&stage), place(&line, '#')), (0, start), "{line:?}");
     click(&mut stage, row, trouble);
     let odd = stop(&stage);
-    assert!(odd > 0 && stage.app.replay().unwrap().film().stops()[odd].odd, "{odd}: {line:?}");
+    assert!(
+        odd > 0 && stage.app.replay().unwrap().film().stops()[odd].trouble == Trouble::Grave,
+        "{odd}: {line:?}"
+    );
     assert_eq!(place(&bar(&mut stage).1, '#'), trouble);
     click(&mut stage, row, end);
     assert!(stage.app.replay().unwrap().is_at_end());

@@ -6,10 +6,10 @@ use imrs_monitor::Endpoint;
 use imrs_monitor::app::lanes::Slice;
 use imrs_monitor::app::{Effect, Msg, Screen};
 use imrs_monitor::rows::Sort;
-use imrs_monitor::store::message::{MessageKey, Passed, incarnation_of};
+use imrs_monitor::store::message::{MessageKey, Passed, stages_of};
 use imrs_monitor::store::timeline::{Timeline, timeline};
 use imrs_monitor::theme::Theme;
-use imrs_protocol::{Event, TaskId};
+use imrs_protocol::{Event, Incarnation, TaskId};
 use imrs_wire::obs::{Events, Pong, ServerFrame, TimedEvent};
 use proptest::prelude::*;
 use std::time::Duration;
@@ -32,8 +32,8 @@ fn is_causal(timeline: &Timeline) -> bool {
 #[test]
 fn a_message_is_followed_from_its_birth_to_the_answer() {
     let stage = Stage::busy(Theme::ASCII);
-    let key = MessageKey { source: TaskId(0), port: BEAT, number: 8_810 };
-    let stages = incarnation_of(stage.app.store(), &beam(), key);
+    let key = MessageKey { source: TaskId(0), port: BEAT, number: 8_810, incarnation: None };
+    let stages = stages_of(stage.app.store(), &beam(), key);
     let told: Vec<_> = stages
         .iter()
         .map(|s| (s.mark.seen.what.event, s.left_us / 1_000, s.charged_us.map(|us| us / 1_000), s.passed))
@@ -77,8 +77,8 @@ fn what_passed_between_two_nodes_is_told_by_the_clocks_of_both() {
     for (node, event) in there {
         stage.frame(ms(1_060), node, ServerFrame::Events(Events { lost: 0, events: vec![event] }));
     }
-    let key = MessageKey { source: TaskId(0), port: BEAT, number: 9_000 };
-    let passed: Vec<_> = incarnation_of(stage.app.store(), &beam(), key).iter().map(|s| s.passed).collect();
+    let key = MessageKey { source: TaskId(0), port: BEAT, number: 9_000, incarnation: None };
+    let passed: Vec<_> = stages_of(stage.app.store(), &beam(), key).iter().map(|s| s.passed).collect();
     let took = |us, estimated| Some(Passed { us, estimated });
     assert_eq!(passed, [None, took(14_000, true), took(1_000, false), took(400, true)]);
 }
@@ -166,7 +166,10 @@ fn enter_opens_the_history_of_the_message_in_the_row_and_escape_goes_back() {
     let mut stage = Stage::busy(Theme::ASCII);
     stage.keys(NOW, "2l");
     stage.keys(NOW, "j\n");
-    assert_eq!(stage.app.message(), Some(MessageKey { source: TaskId(0), port: BEAT, number: 8_813 }));
+    assert_eq!(
+        stage.app.message(),
+        Some(MessageKey { source: TaskId(0), port: BEAT, number: 8_813, incarnation: Some(Incarnation(1)) })
+    );
     assert!(stage.text(NOW, 120, 30).contains("rejected by rank"));
     stage.keys(NOW, "?");
     stage.key(NOW, KeyCode::Esc);
@@ -180,7 +183,10 @@ fn enter_opens_the_history_of_the_message_in_the_row_and_escape_goes_back() {
     stage.keys(NOW, "6\n");
     assert_eq!(stage.app.screen, Screen::Overview, "that events were lost is of no message but of a node");
     stage.keys(NOW, "6k\n");
-    assert_eq!(stage.app.message(), Some(MessageKey { source: TaskId(0), port: HALT, number: 6 }));
+    assert_eq!(
+        stage.app.message(),
+        Some(MessageKey { source: TaskId(0), port: HALT, number: 6, incarnation: None })
+    );
 }
 
 #[test]

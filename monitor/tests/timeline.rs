@@ -4,7 +4,7 @@ use crate::common::crowd::CROWD_NOW;
 use crate::common::{BEAT, HALT, LIFT, Stage, at, beam, events, left, ms, observed, snapshot};
 use crossterm::event::{KeyCode, KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
 use imrs_monitor::app::Msg;
-use imrs_monitor::store::message::{MessageKey, incarnation_of};
+use imrs_monitor::store::message::{MessageKey, stages_of};
 use imrs_monitor::theme::Theme;
 use imrs_protocol::{Event, TaskId};
 use imrs_wire::obs::{Pong, ServerFrame};
@@ -88,12 +88,45 @@ fn a_large_error_of_the_clocks_changes_no_order_of_a_message() {
     }
     stage.frame(ms(1_000), 0, ServerFrame::Events(at(0, &of(&here, 1))));
     stage.frame(ms(1_000), 1, ServerFrame::Events(at(1, &of(&there, 0))));
-    let key = MessageKey { source: TaskId(0), port: BEAT, number: 7 };
-    let stages = incarnation_of(stage.app.store(), &beam(), key);
+    let key = MessageKey { source: TaskId(0), port: BEAT, number: 7, incarnation: None };
+    let stages = stages_of(stage.app.store(), &beam(), key);
     let order: Vec<_> = stages.iter().map(|stage| stage.mark.seen.what.event).collect();
     let place = |event| order.iter().position(|one| *one == event).unwrap();
     let expected = [Sent, Rejected, Enqueued, Delivered, Replied, Answered];
     assert!(expected.map(place).is_sorted(), "{order:?}");
+}
+
+/// A source numbers its messages anew after a restart. Two messages with one number have two histories, and each row
+/// opens the history of its own message.
+#[test]
+fn after_a_restart_a_number_names_another_message() {
+    use Event::{Delivered, Enqueued, Replied, Sent, TimedOut};
+    let mut stage = Stage::cell(Theme::ASCII);
+    let of = |list: &[(u64, Event, u64)], peer| {
+        list.iter().map(|(ms, event, rest)| (*ms, left(*event, BEAT, peer, 7, *rest))).collect::<Vec<_>>()
+    };
+    let first = [(4_300, Sent, 200), (4_340, TimedOut, 0)];
+    let taken = [(4_310, Enqueued, 190), (4_320, Delivered, 180), (4_330, Replied, 170)];
+    stage.frame(ms(1_000), 0, ServerFrame::Events(at(0, &of(&first, 1))));
+    stage.frame(ms(1_000), 1, ServerFrame::Events(at(1, &of(&taken, 0))));
+    stage.lose(ms(1_020), 0);
+    stage.attach(ms(1_500), 0, 2);
+    let mut restarted = snapshot(0);
+    (restarted.mono_us, restarted.uptime_us) = (5_500_000, 400_000);
+    stage.frame(ms(1_500), 0, ServerFrame::Snapshot(restarted));
+    stage.frame(ms(1_500), 0, ServerFrame::Events(at(0, &of(&[(5_200, Sent, 200)], 1))));
+    stage.frame(ms(1_500), 1, ServerFrame::Events(at(1, &of(&[(5_210, Enqueued, 188)], 0))));
+    let history = ["sent", "enqueued", "delivered", "replied", "timed out"];
+    // The newest row of the timeline, the row of the time-out, and the same time-out among the events.
+    for (keys, stages) in [("4\n", &history[..2]), ("4kk\n", &history), ("6/timed\n\n", &history)] {
+        let shown = stage.typed(ms(1_600), (160, 40), keys);
+        let rows: Vec<_> = shown.lines().filter(|line| line.ends_with(']')).collect();
+        assert_eq!(rows.len(), stages.len(), "{keys}: {shown}");
+        for (row, stage) in rows.iter().zip(stages) {
+            assert!(row.contains(stage), "{keys}: {shown}");
+        }
+        stage.key(ms(1_600), KeyCode::Esc);
+    }
 }
 
 /// Confirmations of a round are repeated. A repetition that comes after the release is not its cause.

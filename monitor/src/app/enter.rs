@@ -5,7 +5,7 @@ use super::{App, Effect, Screen, port_end};
 use crate::clock::Moment;
 use crate::store::health::Place;
 use crate::store::journal::{Entry, What};
-use crate::store::message::{MessageKey, key_of};
+use crate::store::message::{MessageKey, message_at};
 use crate::store::trail::Seen;
 use imrs_protocol::TaskId;
 
@@ -106,21 +106,25 @@ impl App {
                 let end = self.port(&self.queues())?;
                 let queue = self.queue(now);
                 let entry = queue.get(self.entry(&queue))?.entry;
-                Some(MessageKey { source: entry.source, port: end.port, number: entry.id.sequence.get() })
+                Some(MessageKey {
+                    source: entry.source,
+                    port: end.port,
+                    number: entry.id.sequence.get(),
+                    incarnation: Some(entry.id.incarnation),
+                })
             }
             Screen::Timeline => {
                 let chart = self.chart();
-                key_of(&chart.mark(chart.bottom)?.seen)
+                let mark = chart.mark(chart.bottom)?;
+                message_at(self.store(), &self.cell()?, &mark.seen, mark.at)
             }
             Screen::Events => {
                 let lines = self.events();
                 let held = self.held.unwrap_or(u64::MAX);
-                match &lines.iter().rfind(|e| e.number <= held)?.what {
-                    What::Observed { task, observation } => {
-                        key_of(&Seen { mono_us: 0, task: *task, what: *observation })
-                    }
-                    What::Noticed { .. } => None,
-                }
+                let entry = lines.iter().rfind(|e| e.number <= held)?;
+                let (task, what) = entry.observed()?;
+                let seen = Seen { mono_us: 0, task, what: *what };
+                message_at(self.store(), &entry.names.cell, &seen, entry.at)
             }
             Screen::Message => self.message,
             Screen::Overview

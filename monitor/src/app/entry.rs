@@ -4,6 +4,7 @@
 use super::complete::{Completion, word_at};
 use super::{App, Effect, Screen};
 use crate::clock::Moment;
+use crate::keys::Action;
 use crate::query::Filter;
 use crate::typed::{Kind, Typed};
 use crossterm::event::{Event, KeyCode, KeyEvent, KeyModifiers};
@@ -40,6 +41,15 @@ impl App {
     pub(super) fn open_entry(&mut self, kind: Kind) {
         let text = if kind == Kind::Filter { self.filter().to_owned() } else { String::new() };
         self.type_on(kind, text);
+    }
+
+    /// If the key is that of the filter on other screens, says that this screen has none. Returns whether it did.
+    pub(super) fn lacks_filter(&mut self, event: &KeyEvent) -> bool {
+        let is_filter = self.keymap.action(event, Screen::Overview) == Some(Action::Filter);
+        if is_filter {
+            self.told = Some("no filter on this screen; there is one on 1, 4 and 6".to_owned());
+        }
+        is_filter
     }
 
     fn type_on(&mut self, kind: Kind, text: String) {
@@ -179,6 +189,12 @@ impl App {
     pub fn completion(&self) -> Completion {
         let Some(entry) = &self.entry_line else { return Completion::default() };
         let (before, word, after) = word_at(entry.input.value(), entry.input.cursor());
+        // No name completes the number behind an operator: Tab would replace the number.
+        let is_number = word.starts_with(|first: char| first.is_ascii_digit());
+        let is_behind_operator = before.trim_end().ends_with(['<', '>', '=']);
+        if entry.kind == Kind::Filter && is_number && is_behind_operator {
+            return Completion::default();
+        }
         let candidates = match entry.kind {
             Kind::Command => self.words_of_command(before),
             Kind::Filter => self.words_of_filter(entry.screen),

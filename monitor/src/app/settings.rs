@@ -40,19 +40,21 @@ impl Setting {
         Self::OnlyCycles,
     ];
 
-    /// A text about the setting, and its key in the settings file if it has one.
+    /// A text about the setting, a shorter one for narrow screens, and its key in the settings file if it has one.
     #[must_use]
-    pub const fn about(self) -> (&'static str, &'static str) {
+    pub const fn about(self) -> (&'static str, &'static str, &'static str) {
         match self {
-            Self::Theme => ("how the screen looks; remembered", "theme"),
-            Self::Mouse => ("clicks and the wheel act, and do not select text", "mouse"),
-            Self::ReducedMotion => ("redraw only once a second, and after input", "reduced_motion"),
-            Self::Earlier => ("overview: earlier incarnations of the nodes, too", ""),
-            Self::SinceMark => ("overview: counters since the mark (m)", ""),
-            Self::Everything => ("events: every event, repeated copies, too", ""),
-            Self::Discards => ("events: discards", ""),
-            Self::Messages => ("timeline: ordinary messages", ""),
-            Self::OnlyCycles => ("rendezvous: only what waits in a cycle", ""),
+            Self::Theme => ("how the screen looks; remembered", "theme", "theme"),
+            Self::Mouse => ("clicks and the wheel act, and do not select text", "mouse acts", "mouse"),
+            Self::ReducedMotion => {
+                ("redraw once a second, and after input", "redraw each second", "reduced_motion")
+            }
+            Self::Earlier => ("overview: earlier incarnations of the nodes, too", "earlier incarnations", ""),
+            Self::SinceMark => ("overview: counters since the mark (m)", "counts since m", ""),
+            Self::Everything => ("events: every event, repeated copies, too", "every event", ""),
+            Self::Discards => ("events: discards", "discards", ""),
+            Self::Messages => ("timeline: ordinary messages", "ordinary messages", ""),
+            Self::OnlyCycles => ("rendezvous: only what waits in a cycle", "only wait cycles", ""),
         }
     }
 }

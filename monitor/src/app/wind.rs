@@ -16,8 +16,8 @@ impl App {
         match action {
             Action::StepBack => player.step_by(-1),
             Action::StepOn => player.step_by(1),
-            Action::PreviousAnomaly => player.go_to_odd(false),
-            Action::NextAnomaly => player.go_to_odd(true),
+            Action::PreviousAnomaly => player.go_to_trouble(false),
+            Action::NextAnomaly => player.go_to_trouble(true),
             Action::Oldest => player.go(0),
             Action::Newest => player.go_to_end(),
             _ => player.toggle(now),
@@ -38,8 +38,8 @@ impl App {
         self.move_back(now, |player| match action {
             Action::StepBack => player.step_by(-1),
             Action::StepOn => player.step_by(1),
-            Action::PreviousAnomaly => player.go_to_odd(false),
-            Action::NextAnomaly => player.go_to_odd(true),
+            Action::PreviousAnomaly => player.go_to_trouble(false),
+            Action::NextAnomaly => player.go_to_trouble(true),
             Action::Oldest => player.go(0),
             _ => player.go_to_end(),
         });

@@ -1,10 +1,11 @@
 //! An opened recording of observations (a film): its encoded frames, and the stops at which it can be shown. The
 //! history of the present run is shown in the same way ([`History`](crate::history::History)).
 
+use super::trouble::{Trouble, Troubles};
 use crate::clock::{Moment, micros};
 use crate::error::MonitorError;
 use crate::source::{Arrival, Feed, SourceId};
-use crate::store::journal::{Severity, level_of};
+use crate::store::Store;
 use imrs_wire::files;
 use imrs_wire::obs::{Events, Role, ServerFrame};
 use imrs_wire::recording::{Ending, Record, RecordingReader, Shown, Step, Story, Stream};
@@ -22,8 +23,7 @@ const REEL: usize = 4 << 20;
 struct Frame {
     at: Moment,
     source: u16,
-    /// Whether the frame shows an anomaly.
-    odd: bool,
+    trouble: Trouble,
     /// The range of the frame in the bytes of its segment.
     bytes: Range<u32>,
 }
@@ -36,12 +36,12 @@ pub struct Reel {
 }
 
 impl Reel {
-    /// Adds a frame; `odd` marks an anomaly. Returns false if the segment is full.
-    pub fn put(&mut self, at: Moment, source: u16, odd: bool, bytes: &[u8]) -> bool {
+    /// Adds a frame that shows this trouble. Returns false if the segment is full.
+    pub fn put(&mut self, at: Moment, source: u16, trouble: Trouble, bytes: &[u8]) -> bool {
         let [start, end] = [self.bytes.len(), self.bytes.len() + bytes.len()].map(u32::try_from);
         let (Ok(start), Ok(end)) = (start, end) else { return false };
         self.bytes.extend_from_slice(bytes);
-        self.frames.push(Frame { at, source, odd, bytes: start..end });
+        self.frames.push(Frame { at, source, trouble, bytes: start..end });
         true
     }
 
@@ -76,8 +76,8 @@ pub struct Stop {
     pub at: Moment,
     /// The number of frames up to this stop.
     pub frames: usize,
-    /// Whether there was an anomaly between the previous stop and this one.
-    pub odd: bool,
+    /// The gravest trouble between the previous stop and this one.
+    pub trouble: Trouble,
 }
 
 /// A recording of observations. Frames stay encoded and are decoded when they are shown.
@@ -128,13 +128,13 @@ impl Film {
             return Err("it has the inputs of one node, not what a monitor saw: see `imrs replay`".to_owned());
         }
         let mut film = Self { cell: reader.header().cell.clone(), ..Self::default() };
-        let mut story = false;
+        let mut reading = Reading::default();
         loop {
             let offset = reader.offset();
             let damaged = |why: &dyn std::fmt::Display| format!("DAMAGED: {why}; shown up to there");
             match reader.next_record() {
                 Ok(Some(Record::Frame { source, at, bytes })) => match Shown::decode(&bytes) {
-                    Ok(shown) => film.add(source, at, &bytes, shown, &mut story),
+                    Ok(shown) => film.add(source, at, &bytes, shown, &mut reading),
                     Err(error) if film.stops.is_empty() => return Err(error.to_string()),
                     Err(error) => {
                         film.notice = Some(damaged(&format_args!("at byte {offset}: {error}")));
@@ -144,7 +144,7 @@ impl Film {
                 Ok(Some(Record::Gap { stream: Stream::Frames(source), lost })) => {
                     let at = film.stops.last().map_or(0, |stop| micros(stop.at));
                     let shown = Shown::Said(ServerFrame::Events(Events { lost, events: Vec::new() }));
-                    film.add(source, at, &shown.encode(), shown, &mut story);
+                    film.add(source, at, &shown.encode(), shown, &mut reading);
                 }
                 Ok(Some(
                     Record::Header(_)
@@ -180,7 +180,7 @@ impl Film {
         for reel in std::iter::once(opening).chain(reels) {
             for frame in &reel.frames {
                 let opens = film.stops.last().is_none_or(|stop| stop.at < frame.at);
-                film.stop(frame.at, opens, frame.odd);
+                film.stop(frame.at, opens, frame.trouble);
                 film.frames += 1;
                 film.end_stop();
             }
@@ -190,29 +190,26 @@ impl Film {
     }
 
     /// Adds a frame to this recording.
-    fn add(&mut self, source: u16, at: u64, bytes: &[u8], shown: Shown, in_story: &mut bool) {
+    fn add(&mut self, source: u16, at: u64, bytes: &[u8], shown: Shown, reading: &mut Reading) {
         let at = Duration::from_micros(at);
-        let odd = match &shown {
-            Shown::Step(step) => step.odd,
-            shown => !*in_story && is_odd(shown),
-        };
+        let trouble = reading.trouble(source, at, &shown);
         let opens = match &shown {
             Shown::Story(_) => false,
             Shown::Step(_) => true,
             Shown::Attached { .. } | Shown::Said(_) | Shown::Lost { .. } => {
-                !*in_story && self.stops.last().is_none_or(|stop| stop.at < at)
+                !reading.in_story && self.stops.last().is_none_or(|stop| stop.at < at)
             }
         };
         if let Shown::Story(story) = shown {
-            *in_story = true;
+            reading.in_story = true;
             self.story = Some(story);
             return;
         }
-        self.stop(at, opens, odd);
+        self.stop(at, opens, trouble);
         if self.open.weight() + bytes.len() > REEL {
             self.close();
         }
-        if self.open.put(at, source, odd, bytes) {
+        if self.open.put(at, source, trouble, bytes) {
             self.frames += 1;
         }
         self.end_stop();
@@ -225,13 +222,13 @@ impl Film {
         self.reels.push((Arc::new(reel), self.frames));
     }
 
-    /// Starts a new stop if `opens`, and marks the last stop if `odd`.
-    fn stop(&mut self, at: Moment, opens: bool, odd: bool) {
+    /// Starts a new stop if `opens`, and adds the trouble to the last stop.
+    fn stop(&mut self, at: Moment, opens: bool, trouble: Trouble) {
         if opens {
-            self.stops.push(Stop { at, frames: self.frames, odd: false });
+            self.stops.push(Stop { at, frames: self.frames, trouble: Trouble::None });
         }
         if let Some(stop) = self.stops.last_mut() {
-            stop.odd |= odd;
+            stop.trouble = stop.trouble.max(trouble);
         }
     }
 
@@ -275,43 +272,48 @@ impl Film {
         };
         // Decoding cannot fail: `read` has already decoded the frame once, or the history has encoded it.
         let Some(shown) = reel.shown(frame) else { return Scene::Nothing };
-        let feed = match shown {
-            Shown::Attached { hello, .. } => match hello.role {
-                Role::Node(identity) => Feed::Attached { identity, pid: hello.pid, build: hello.build },
-                Role::Monitor => return Scene::Nothing,
-            },
-            Shown::Said(said) => Feed::Frame(Box::new(said)),
-            Shown::Lost { why } => Feed::Lost { why },
-            Shown::Step(step) => return Scene::Step(step),
-            Shown::Story(_) => return Scene::Nothing,
-        };
-        Scene::Arrival(Arrival { at: frame.at, source: SourceId(frame.source.into()), feed })
+        match shown {
+            Shown::Step(step) => Scene::Step(step),
+            shown => arrival(frame.at, frame.source, shown).map_or(Scene::Nothing, Scene::Arrival),
+        }
     }
 }
 
-/// Whether a frame shows an anomaly. The steps of a counterexample say this themselves.
-pub(crate) fn is_odd(shown: &Shown) -> bool {
-    match shown {
-        Shown::Lost { .. } => true,
-        Shown::Said(ServerFrame::Events(Events { events, .. })) => {
-            events.iter().any(|event| level_of(event.what.event) == Severity::Bad)
+/// The arrival that a recorded frame stands for.
+fn arrival(at: Moment, source: u16, shown: Shown) -> Option<Arrival> {
+    let feed = match shown {
+        Shown::Attached { hello, .. } => match hello.role {
+            Role::Node(identity) => Feed::Attached { identity, pid: hello.pid, build: hello.build },
+            Role::Monitor => return None,
+        },
+        Shown::Said(said) => Feed::Frame(Box::new(said)),
+        Shown::Lost { why } => Feed::Lost { why },
+        Shown::Step(_) | Shown::Story(_) => return None,
+    };
+    Some(Arrival { at, source: SourceId(source.into()), feed })
+}
+
+/// What is known while a recording is read.
+#[derive(Default)]
+struct Reading {
+    in_story: bool,
+    store: Store,
+    troubles: Troubles,
+}
+
+impl Reading {
+    /// The trouble that the next frame shows. The steps of a counterexample say this themselves.
+    fn trouble(&mut self, source: u16, at: Moment, shown: &Shown) -> Trouble {
+        if let Shown::Step(step) = shown {
+            return if step.odd { Trouble::Grave } else { Trouble::None };
         }
-        Shown::Said(
-            ServerFrame::Table(_)
-            | ServerFrame::Snapshot(_)
-            | ServerFrame::Bye(_)
-            | ServerFrame::Delta(_)
-            | ServerFrame::Detail(_)
-            | ServerFrame::Vitals(_)
-            | ServerFrame::Links(_)
-            | ServerFrame::Pong(_)
-            | ServerFrame::Places(_)
-            | ServerFrame::Denied(_)
-            | ServerFrame::Challenge(_)
-            | ServerFrame::HeldBack(_),
-        )
-        | Shown::Attached { .. }
-        | Shown::Story(_)
-        | Shown::Step(_) => false,
+        if self.in_story {
+            return Trouble::None;
+        }
+        let trouble = self.troubles.of(shown, SourceId(source.into()), at, &self.store);
+        if let Some(arrival) = arrival(at, source, shown.clone()) {
+            self.store.apply(arrival);
+        }
+        trouble
     }
 }

@@ -6,10 +6,12 @@
 mod film;
 mod ribbon;
 pub(crate) mod tell;
+mod trouble;
 
-pub(crate) use film::is_odd;
 pub use film::{Film, Reel, Stop};
 pub use ribbon::Ribbon;
+pub use trouble::Trouble;
+pub(crate) use trouble::Troubles;
 
 use crate::clock::{Moment, Span};
 use crate::source::Arrival;
@@ -220,15 +222,14 @@ impl Player {
         self.go(usize::MAX);
     }
 
-    /// Moves to the next or previous stop with an anomaly.
-    pub fn go_to_odd(&mut self, forward: bool) {
+    /// Moves to the next or previous stop with a grave trouble or, if there is none, with a slight one.
+    pub fn go_to_trouble(&mut self, forward: bool) {
         let stops = self.film.stops();
-        let found = if forward {
-            (self.stop + 1..stops.len()).find(|&at| stops[at].odd)
-        } else {
-            (0..self.stop).rev().find(|&at| stops[at].odd)
+        let find = |least: Trouble| {
+            let has = |&at: &usize| stops[at].trouble >= least;
+            if forward { (self.stop + 1..stops.len()).find(has) } else { (0..self.stop).rev().find(has) }
         };
-        self.go(found.unwrap_or(self.stop));
+        self.go(find(Trouble::Grave).or_else(|| find(Trouble::Slight)).unwrap_or(self.stop));
     }
 
     /// Plays or pauses. At the end it plays from the beginning.

@@ -1,22 +1,22 @@
 //! The scrub bar's data: a recording from its beginning to its end, with the places at which something went wrong. A
 //! place is a position on the bar.
 
-use super::{Film, Player};
+use super::{Film, Player, Trouble};
 use crate::clock::{Moment, Span, micros};
 
-/// Two anomalies that are closer together than the length divided by this number are shown as one, because no screen
+/// Two troubles that are closer together than the length divided by this number are shown as one, because no screen
 /// has more columns.
 const PLACES: u64 = 1_000;
 
-/// The ends of a recording, and its anomalies. This refers to no frame, so it keeps no frame in memory.
+/// The ends of a recording, and its troubles. This refers to no frame, so it keeps no frame in memory.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Ribbon {
     /// Whether places are counted in steps of a counterexample; otherwise they are counted in microseconds.
     steps: bool,
     first: u64,
     last: u64,
-    /// The places of the anomalies, ascending.
-    odd: Vec<u64>,
+    /// The places of the troubles, ascending.
+    troubles: Vec<(u64, Trouble)>,
 }
 
 impl Ribbon {
@@ -28,11 +28,20 @@ impl Ribbon {
         let stops = || film.stops().iter().enumerate();
         let first = film.stops().first().map_or(0, |stop| place((0, stop.at)));
         let last = stops().next_back().map_or(0, |(index, stop)| place((index, stop.at)));
-        let odd = stops().filter(|(_, stop)| stop.odd).map(|(index, stop)| place((index, stop.at)));
-        let mut ribbon = Self { steps, first, last, odd: odd.collect() };
+        let is_trouble = |(_, stop): &(usize, &super::Stop)| stop.trouble > Trouble::None;
+        let troubles = stops().filter(is_trouble);
+        let mut troubles: Vec<_> =
+            troubles.map(|(index, stop)| (place((index, stop.at)), stop.trouble)).collect();
         let apart = (last.saturating_sub(first) / PLACES).max(1);
-        ribbon.odd.dedup_by_key(|at| *at / apart);
-        ribbon
+        // Of several troubles at one place, the first of the gravest is kept.
+        troubles.dedup_by(|next, kept| {
+            let is_same = next.0 / apart == kept.0 / apart;
+            if is_same && next.1 > kept.1 {
+                *kept = *next;
+            }
+            is_same
+        });
+        Self { steps, first, last, troubles }
     }
 
     /// The place of the stop that a player shows.
@@ -55,12 +64,13 @@ impl Ribbon {
         u16::try_from(at).unwrap_or(u16::MAX).min(width.saturating_sub(1))
     }
 
-    /// The place in the recording for which a column stands, if the bar has `width` columns. This is the place of an anomaly,
-    /// or the beginning of the column if it has no anomaly.
+    /// The place in the recording for which a column stands, if the bar has `width` columns. This is the place of the gravest
+    /// trouble in it, or the beginning of the column if it has none.
     #[must_use]
     pub fn place_of(&self, column: u16, width: u16) -> u64 {
-        if let Some(odd) = self.odd.iter().find(|place| self.column(**place, width) == column) {
-            return *odd;
+        let here = self.troubles.iter().filter(|(place, _)| self.column(*place, width) == column);
+        if let Some((place, _)) = here.rev().max_by_key(|(_, trouble)| *trouble) {
+            return *place;
         }
         let length = u128::from(self.last.saturating_sub(self.first));
         let columns = u128::from(width.saturating_sub(1)).max(1);
@@ -68,9 +78,13 @@ impl Ribbon {
         self.first.saturating_add(u64::try_from(after).unwrap_or(u64::MAX)).min(self.last)
     }
 
-    /// The columns in which something went wrong, if the bar has `width` columns.
-    pub fn odd(&self, width: u16) -> impl Iterator<Item = u16> {
-        self.odd.iter().map(move |place| self.column(*place, width))
+    /// The columns in which something went wrong, if the bar has `width` columns, and how grave it is. The gravest come last.
+    #[must_use]
+    pub fn troubles(&self, width: u16) -> Vec<(u16, Trouble)> {
+        let column = |(place, trouble): &(u64, Trouble)| (self.column(*place, width), *trouble);
+        let mut columns: Vec<_> = self.troubles.iter().map(column).collect();
+        columns.sort_by_key(|(_, trouble)| *trouble);
+        columns
     }
 
     /// A place and the end as texts for people: the time since the beginning, or the number of a step.
@@ -102,14 +116,14 @@ mod tests {
 
     #[test]
     fn a_click_on_a_column_leads_to_a_place_that_is_drawn_there() {
-        let ribbon =
-            Ribbon { steps: false, first: 1_000_000, last: 61_234_567, odd: vec![1_000_000, 61_234_567] };
+        let troubles = vec![(1_000_000, Trouble::Grave), (61_234_567, Trouble::Slight)];
+        let ribbon = Ribbon { steps: false, first: 1_000_000, last: 61_234_567, troubles };
         for width in [1, 2, 40, 199] {
             for column in 0..width {
                 let place = ribbon.place_of(column, width);
                 assert_eq!(ribbon.column(place, width), column, "{column} of {width}");
             }
-            assert_eq!(ribbon.odd(width).collect::<Vec<_>>(), [0, width - 1]);
+            assert_eq!(ribbon.troubles(width), [(width - 1, Trouble::Slight), (0, Trouble::Grave)]);
         }
         assert_eq!(ribbon.column(u64::MAX, 0), 0);
         assert_eq!(Ribbon::default().column(7, 10), 9);

@@ -49,10 +49,12 @@ pub struct Blocker {
     pub tasks: Vec<TaskId>,
     /// The place of the first of the tasks that cause the block.
     pub place: Place,
-    /// The names of the tasks that cause the block: `belt@nd`; for a dead node its name: `nd`.
+    /// The names of the tasks that cause the block and do the same: `belt@nd`; for a dead node its name: `nd`.
     pub name: String,
-    /// What the first task that causes the block does: `DEAD 9s`, `receive halt`.
+    /// What these tasks do: `DEAD 9s`, `receive halt`.
     pub state: String,
+    /// How many of the tasks that cause the block do something else, and so have no part in `name` and `state`.
+    pub others: usize,
     /// The tasks that wait for the cause, directly or indirectly, ascending.
     pub by: Vec<TaskId>,
     /// The kind of the longest wait: `waitfor lift`.
@@ -181,6 +183,20 @@ impl Look<'_> {
         }
     }
 
+    /// Whether what the banner says of one task holds for another one, too, also a moment later: on different nodes, times
+    /// end and change at different moments.
+    fn is_alike(&self, one: TaskId, other: TaskId) -> bool {
+        let is_timed = |task: TaskId| {
+            let incarnation = self.names.home(task).and_then(|node| self.store.latest(self.cell, node));
+            incarnation.is_some_and(|incarnation| {
+                incarnation.presence(self.now) != Presence::Up
+                    || incarnation.task_held_back(task, self.now).is_some()
+            })
+        };
+        let is_same_node = self.names.home(one) == self.names.home(other);
+        self.state(one) == self.state(other) && (is_same_node || !is_timed(one))
+    }
+
     fn awaited(&self, awaited: &Awaited, tasks: Vec<TaskId>) -> Option<Blocker> {
         let wait = &awaited.wait;
         let usual_us = self.usual(wait.port);
@@ -201,8 +217,9 @@ impl Look<'_> {
             (false, true) => Severity::Warn,
             (false, false) => Severity::Note,
         };
-        let few: Vec<String> = tasks.iter().take(2).map(|task| self.title(*task)).collect();
-        let more = if tasks.len() > 2 { format!(" +{}", tasks.len() - 2) } else { String::new() };
+        let alike: Vec<_> = tasks.iter().copied().filter(|task| self.is_alike(awaited.task, *task)).collect();
+        let few: Vec<String> = alike.iter().take(2).map(|task| self.title(*task)).collect();
+        let more = if alike.len() > 2 { format!(" +{}", alike.len() - 2) } else { String::new() };
         has_settled.then(|| Blocker {
             kind: Kind::Awaited,
             code: self.code_of_wait(awaited),
@@ -210,6 +227,7 @@ impl Look<'_> {
             place: self.task_place(awaited.task),
             name: few.join(", ") + &more,
             state: self.state(awaited.task),
+            others: tasks.len() - alike.len(),
             tasks,
             by: awaited.by.clone(),
             why: wait.why.clone(),
@@ -259,6 +277,7 @@ impl Look<'_> {
                 place: self.place(cut.to.node_id, None),
                 name: format!("{}-{}", cut.from.node, cut.to.node),
                 state: format!("nothing passes for {}s", cut.silent.as_secs()),
+                others: 0,
                 by,
                 why: "link".to_owned(),
                 waited_us: Some(micros(cut.silent)),
@@ -290,6 +309,7 @@ impl Look<'_> {
             place: self.task_place(first),
             name: few.join(", "),
             state: "only a time_out ends it".to_owned(),
+            others: 0,
             by: tasks.to_vec(),
             why: "wait-for cycle".to_owned(),
             waited_us: None,
@@ -343,6 +363,7 @@ impl Look<'_> {
             place,
             name,
             state,
+            others: 0,
             by: Vec::new(),
             why: String::new(),
             waited_us: None,

@@ -35,13 +35,14 @@ impl Near {
         self.needs_us.is_some_and(|needs| self.left.us < needs)
     }
 
-    /// The time to spare, in microseconds: negative if the message will probably miss its deadline.
+    /// The time to spare, in microseconds.
     fn spare(&self) -> i128 {
         i128::from(self.left.us) - i128::from(self.needs_us.unwrap_or(0))
     }
 }
 
-/// The messages that are nearest to their deadline, nearest first, at most `most`.
+/// The messages that are nearest to missing their deadline, at most `most`: first those that will probably miss it, least
+/// remaining time first, then the others, least time to spare first.
 #[must_use]
 pub fn nearest(store: &Store, cell: &Name, now: Moment, most: usize) -> Vec<Near> {
     let mut ports = Vec::new();
@@ -73,7 +74,8 @@ pub fn nearest(store: &Store, cell: &Name, now: Moment, most: usize) -> Vec<Near
             found.push(near(Some((entry.source, entry.id)), left, position));
         }
     }
-    found.sort_by_key(|near| (near.spare(), near.task, near.port));
+    let order = |near: &Near| if near.is_miss() { i128::from(near.left.us) } else { near.spare() };
+    found.sort_by_key(|near| (!near.is_miss(), order(near), near.task, near.port));
     found.truncate(most);
     found
 }

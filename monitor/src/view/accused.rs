@@ -2,20 +2,23 @@
 
 use super::columns::{Cells, HEALTH_CELL};
 use super::mark;
+use super::overview::is_gone;
 use crate::app::App;
+use crate::clock::Moment;
 use crate::rows::Row;
 use crate::store::blocked::{Blocker, Kind};
 use crate::store::health::{Finding, Place};
 use crate::store::journal::Severity;
 use crate::theme::Ink;
 
-/// Marks the row of the place that blocks the cell, and the rows of the tasks that it holds.
+/// Marks the row of the place that blocks the cell, and the rows of the tasks that it holds. The ink of the first cell of
+/// the former is [`Ink::Alarm`], which stands for the whole row.
 pub(super) fn accuse(
     app: &App,
     row: &Row,
     findings: &[Finding],
     blockers: &[Blocker],
-    width: u16,
+    (width, now): (u16, Moment),
     cells: &mut Cells,
 ) {
     let mut alarming = blockers.iter().filter(|blocker| blocker.is_alarming());
@@ -24,7 +27,9 @@ pub(super) fn accuse(
     if worst.is_some_and(|worst| blockers.iter().any(|blocker| blocker.explains(worst))) {
         cells[HEALTH_CELL].1 = Ink::Warn;
     }
-    let is_shown_within = |blocker: &Blocker| row.open && row.place != blocker.place;
+    // The row of an open node leaves the alarm to the row of its task, unless the node itself is gone.
+    let is_gone = row.place.node.is_ok_and(|id| is_gone(app, id, now));
+    let is_shown_within = |blocker: &Blocker| row.open && row.place != blocker.place && !is_gone;
     if let Some(blocker) =
         alarming.clone().find(|blocker| blocker.is_within(&row.place) && !is_shown_within(blocker))
     {
@@ -57,7 +62,7 @@ pub(super) fn accuse(
         let text = if width < 60 { String::new() } else { format!(" held by {}", blocker.name) };
         cells[HEALTH_CELL] = (format!("!{text}"), Ink::Warn);
     }
-    cells[0].1 = Ink::Warn;
+    (cells[0].1, cells[1].1) = (Ink::Warn, Ink::Warn);
 }
 
 /// The most severe finding within a row. On a narrow screen this is only a sign.

@@ -104,14 +104,20 @@ fn forms(blocker: &Blocker, names: &Names, others: usize) -> Vec<String> {
     let why = &blocker.why;
     let port = why.rsplit(' ').next().unwrap_or(why);
     let waited = blocker.waited_us.map_or_else(String::new, |us| format!(" for {}", Span::micros(us)));
+    let others = match blocker.others {
+        0 => String::new(),
+        1 => ", +1 other".to_owned(),
+        others => format!(", +{others} others"),
+    };
     let usual = blocker.usual_us.map_or_else(String::new, |us| format!(", p99 {}", Span::micros(us)));
     vec![
         format!(
-            " {title} {name} - {state} - holds {held} of {all}{waited}{usual} ({why}): {few}{more}  b: go there"
+            " {title} {name} - {state}{others} - holds {held} of {all}{waited}{usual} ({why}): {few}{more}  b: go there"
         ),
-        format!(" {title} {name} - {state} - holds {held} of {all}{waited}{usual} ({why}){more}"),
-        format!(" {title} {name} - {state} - holds {held} of {all} ({port}){more}"),
+        format!(" {title} {name} - {state}{others} - holds {held} of {all}{waited}{usual} ({why}){more}"),
+        format!(" {title} {name} - {state}{others} - holds {held} of {all} ({port}){more}"),
         format!(" {title} {name} {state} {held}/{all}"),
+        format!(" {title} {name} {state}"),
     ]
 }
 

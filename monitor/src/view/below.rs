@@ -21,35 +21,25 @@ pub(super) const fn rows(height: u16) -> u16 {
 /// Draws the links and the validator's verdict.
 pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let Some(cell) = app.cell().filter(|_| canvas.height() > 0) else { return };
-    // The verdict is more important than the links, so the links get the remaining room.
     let label = "  model: ";
     let (texts, ink) = model(app, &cell);
-    let fits = texts.iter().find(|text| columns(label) + columns(text) <= canvas.area.width);
-    let text = fits.or(texts.last()).map_or("", String::as_str);
-    let width = columns(label).saturating_add(columns(text));
-    let room = canvas.area.width.saturating_sub(width);
-    let (mut x, mut shown, mut is_cut) = (0, 0, false);
+    let brief = links(app, &cell, now, Delays::briefly_beside);
+    // The verdict is more important than the links, but takes a shorter text if a link that needs attention has no room.
+    let ailing = brief.iter().find(|piece| piece.rank < Piece::WELL).map(|piece| columns(&piece.text));
+    let ailing = ailing.map_or(0, |ailing| LABEL_OF_ALL + ailing + columns(MORE));
+    let width = |text: &String| columns(label).saturating_add(columns(text));
+    let fits = |least| texts.iter().find(|text| width(text).saturating_add(least) <= canvas.area.width);
+    let shortest = || if ailing > 0 { texts.last() } else { None };
+    let text = fits(ailing).or_else(shortest).or_else(|| fits(0)).or(texts.last());
+    let room = canvas.area.width.saturating_sub(text.map_or(0, width));
+    let text = text.map_or("", String::as_str);
     let whole = links(app, &cell, now, |delays, bound_us| Some(delays.beside(bound_us)));
-    let fits = whole.iter().map(|(text, ..)| columns(text)).sum::<u16>() <= room;
-    let pieces = if fits { whole } else { links(app, &cell, now, Delays::briefly_beside) };
-    for (text, ink, place) in pieces {
-        // A cut text about a link says nothing, so a link is drawn as a whole or only counted.
-        is_cut |= x > 0 && columns(&text) + x + columns(MORE) > room;
-        if is_cut {
-            break;
-        }
-        canvas.explain(x, 0, &text);
-        let start = x;
-        x = canvas.at(x, 0, room.saturating_sub(x), &text, ink);
-        shown += usize::from(place.is_some());
-        // A text about all links leads to the explanation of the label `links`.
-        canvas.target(start, 0, x - start, place.map_or(Hit::Column("links"), Hit::Place));
+    let fits = whole.iter().map(|piece| columns(&piece.text)).sum::<u16>() <= room;
+    let mut pieces = if fits { whole } else { brief };
+    if ailing > room {
+        pieces.remove(0);
     }
-    if is_cut {
-        let (start, all) = (x, app.store().names(&cell).map_or(0, |names| names.links.len()));
-        x = canvas.at(x, 0, room.saturating_sub(x), &format!(" +{}", all.saturating_sub(shown)), Ink::Dim);
-        canvas.target(start, 0, x - start, Hit::Column("links"));
-    }
+    let mut x = list(app, &cell, &pieces, room, canvas);
     let start = x;
     // The label explains itself, and the verdict leads to its screen.
     canvas.explain(x, 0, label);
@@ -58,12 +48,65 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     canvas.target(start, 0, x.saturating_sub(start), Hit::Tab(Screen::Model));
 }
 
+/// Draws as many of the links as have room, and counts the others. Returns the column behind them.
+fn list(app: &App, cell: &Name, pieces: &[Piece], room: u16, canvas: &mut Canvas<'_>) -> u16 {
+    let (mut x, mut shown, mut is_cut) = (0, 0, false);
+    for (number, Piece { text, ink, place, .. }) in pieces.iter().enumerate() {
+        // A cut text about a link says nothing, so a link is drawn as a whole or only counted.
+        let is_last = number + 1 == pieces.len();
+        let more = if is_last { 0 } else { columns(MORE) };
+        is_cut |= x > 0 && columns(text) + x + more > room;
+        if is_cut {
+            break;
+        }
+        canvas.explain(x, 0, text);
+        let start = x;
+        x = canvas.at(x, 0, room.saturating_sub(x), text, *ink);
+        shown += usize::from(place.is_some());
+        // A text about all links leads to the explanation of the label `links`.
+        canvas.target(start, 0, x - start, place.map_or(Hit::Column("links"), Hit::Place));
+    }
+    if is_cut {
+        let (start, all) = (x, app.store().names(cell).map_or(0, |names| names.links.len()));
+        x = canvas.at(x, 0, room.saturating_sub(x), &format!(" +{}", all.saturating_sub(shown)), Ink::Dim);
+        canvas.target(start, 0, x - start, Hit::Column("links"));
+    }
+    x
+}
+
+/// A text about a link, or about all of them.
+struct Piece {
+    /// The links with the least rank need attention most. Each rank is a state of a link, as below.
+    rank: u8,
+    text: String,
+    ink: Ink,
+    /// The place to which a click leads: the node at the end of the link that is in trouble, otherwise at its first end.
+    place: Option<Place>,
+}
+
+impl Piece {
+    const CUT: u8 = 0;
+    const DOWN: u8 = 1;
+    const FAULTY: u8 = 2;
+    const LATE: u8 = 3;
+    const NEAR: u8 = 4;
+    const WELL: u8 = 5;
+
+    /// A text that is about no single link.
+    const fn of_all(text: String) -> Self {
+        Self { rank: Self::WELL, text, ink: Ink::Dim, place: None }
+    }
+}
+
+/// The width of the label before the links.
+const LABEL_OF_ALL: u16 = 6;
+
 /// Puts delays beside the bound of their link in microseconds, in words for a row.
 type Words = fn(&Delays, u64) -> Option<String>;
 
-/// For each link: whether it is active, for how long it has been quiet, or that a node at one of its ends is down.
-/// Each comes with the place to which a click leads: the node at the end that is in trouble, otherwise at its first end.
-fn links(app: &App, cell: &Name, now: Moment, words: Words) -> Vec<(String, Ink, Option<Place>)> {
+/// For each link: whether it is active, for how long it has been quiet, or that a node at one of its ends is down. Links
+/// that need attention come first, because others may have no room.
+fn links(app: &App, cell: &Name, now: Moment, words: Words) -> Vec<Piece> {
     let store = app.store();
     let Some(names) = store.names(cell) else { return Vec::new() };
     let gone = |node| store.latest(cell, node).is_some_and(|incarnation| incarnation.presence(now).is_gone());
@@ -85,17 +128,14 @@ fn links(app: &App, cell: &Name, now: Moment, words: Words) -> Vec<(String, Ink,
         let name = format!(" {}-{} ", names.node(link.a), names.node(link.b));
         let ends = [(link.a, link.b), (link.b, link.a)];
         let heard = ends.map(|(at, peer)| heard(app, cell, at, peer, now));
-        let (text, ink) = match heard.into_iter().flatten().min() {
-            _ if stopped(link.a) || stopped(link.b) => ("STOPPED".to_owned(), Ink::Dim),
-            _ if gone(link.a) || gone(link.b) => ("DOWN".to_owned(), Ink::Warn),
-            _ if cut_at(link.a, link.b).is_some() => ("CUT".to_owned(), Ink::Bad),
-            _ if is_faulty(&ends) => ("FAULTY".to_owned(), Ink::Bad),
-            Some(us) if us <= LATELY_US => {
-                let (delay, ink) = delay(app, cell, &ends, now, words);
-                (format!("ok{delay}"), ink)
-            }
+        let (rank, text, ink) = match heard.into_iter().flatten().min() {
+            _ if stopped(link.a) || stopped(link.b) => (Piece::WELL, "STOPPED".to_owned(), Ink::Dim),
+            _ if gone(link.a) || gone(link.b) => (Piece::DOWN, "DOWN".to_owned(), Ink::Warn),
+            _ if cut_at(link.a, link.b).is_some() => (Piece::CUT, "CUT".to_owned(), Ink::Bad),
+            _ if is_faulty(&ends) => (Piece::FAULTY, "FAULTY".to_owned(), Ink::Bad),
+            Some(us) if us <= LATELY_US => delay(app, cell, &ends, now, words),
             // Without traffic a link is quiet, which is no fault.
-            Some(us) => (format!("quiet {}", Span::micros(us).in_seconds()), Ink::Dim),
+            Some(us) => (Piece::WELL, format!("quiet {}", Span::micros(us).in_seconds()), Ink::Dim),
             None => {
                 unknown += 1;
                 continue;
@@ -110,20 +150,15 @@ fn links(app: &App, cell: &Name, now: Moment, words: Words) -> Vec<(String, Ink,
         let node = ailing.unwrap_or(link.a);
         let incarnation = store.latest(cell, node).map(|incarnation| incarnation.id);
         let place = Place { node: incarnation.ok_or(node), task: None, port: None };
-        pieces.push((name + &text, ink, Some(place)));
+        pieces.push(Piece { rank, text: name + &text, ink, place: Some(place) });
     }
-    // The links that need attention come first, because others may have no room.
-    pieces.sort_by_key(|(_, ink, _)| match ink {
-        Ink::Bad => 0,
-        Ink::Warn => 1,
-        _ => 2,
-    });
-    pieces.insert(0, (" links".to_owned(), Ink::Dim, None));
+    pieces.sort_by_key(|piece| piece.rank);
+    pieces.insert(0, Piece::of_all(" links".to_owned()));
     if unknown > 0 {
-        pieces.push((format!("  {unknown} unknown"), Ink::Dim, None));
+        pieces.push(Piece::of_all(format!("  {unknown} unknown")));
     }
     if names.links.len() > SHOWN {
-        pieces.push((format!("  {} more", names.links.len() - SHOWN), Ink::Dim, None));
+        pieces.push(Piece::of_all(format!("  {} more", names.links.len() - SHOWN)));
     }
     pieces
 }
@@ -141,14 +176,18 @@ fn measured<'a>(
     })
 }
 
-/// The recent delays in the slower direction of a link beside the declared bound.
-fn delay(app: &App, cell: &Name, ends: &[(NodeId, NodeId)], now: Moment, words: Words) -> (String, Ink) {
-    let mut links = measured(app, cell, ends, now);
+/// The recent delays in the slower direction of a link beside the declared bound, and how they compare with it.
+fn delay(app: &App, cell: &Name, ends: &[(NodeId, NodeId)], now: Moment, words: Words) -> (u8, String, Ink) {
+    let links = measured(app, cell, ends, now);
     let slowest = links.clone().max_by_key(|link| link.report.recent.p99_us);
     let words = slowest.and_then(|link| words(&link.report.recent, link.bound_us));
-    let is_enough = links.all(|link| link.margin() == Margin::Enough);
     let text = words.map_or_else(String::new, |words| format!(" {words}"));
-    (text, if is_enough { Ink::Plain } else { Ink::Warn })
+    let has = |margin: Margin| links.clone().any(|link| link.margin() == margin);
+    match (has(Margin::Exceeded), has(Margin::Near)) {
+        (true, _) => (Piece::LATE, format!("late{text}"), Ink::Warn),
+        (false, true) => (Piece::NEAR, format!("near{text}"), Ink::Warn),
+        (false, false) => (Piece::WELL, format!("ok{text}"), Ink::Plain),
+    }
 }
 
 /// The widest text for the number of links that have no room.
@@ -186,10 +225,16 @@ fn model(app: &App, cell: &Name) -> (Vec<String>, Ink) {
     let judged = format!("conforms in {steps} steps");
     match violated {
         Some(node) => (vec![format!("{node} VIOLATES it (7)"), "VIOLATED (7)".to_owned()], Ink::Bad),
-        None if unknown == incarnations => (vec!["UNKNOWN, not recorded".to_owned()], Ink::Dim),
+        None if unknown == incarnations => {
+            (vec!["UNKNOWN, not recorded".to_owned(), "UNKNOWN".to_owned()], Ink::Dim)
+        }
         None if unknown > 0 => {
-            let unknown = if unknown == 1 { "1 node".to_owned() } else { format!("{unknown} nodes") };
-            let texts = [format!("{judged}, {unknown} UNKNOWN"), format!("conforms, {unknown} UNKNOWN")];
+            let nodes = if unknown == 1 { "1 node".to_owned() } else { format!("{unknown} nodes") };
+            let texts = [
+                format!("{judged}, {nodes} UNKNOWN"),
+                format!("conforms, {nodes} UNKNOWN"),
+                format!("{unknown} UNKNOWN"),
+            ];
             (texts.into(), Ink::Warn)
         }
         None => (vec![judged, "conforms".to_owned()], Ink::Good),

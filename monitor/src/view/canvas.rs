@@ -5,6 +5,7 @@ use crate::keys::Action;
 use crate::theme::{Ink, Theme};
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
+use ratatui::style::{Modifier, Style};
 
 /// A part of the screen that can be drawn on.
 pub(super) struct Canvas<'a> {
@@ -160,6 +161,17 @@ impl Canvas<'_> {
         if y < self.area.height {
             let row = Rect { y: self.area.y + y, height: 1, ..self.area };
             self.buffer.set_style(row, self.theme.style(Ink::Selected));
+        }
+    }
+
+    /// Gives a row of the culprit the alarm's style, reversed if the row is selected, so that it is the most striking row.
+    pub(super) fn alarm(&mut self, y: u16, is_selected: bool) {
+        if y < self.area.height {
+            let row = Rect { y: self.area.y + y, height: 1, ..self.area };
+            let style = Style::reset().patch(self.theme.style(Ink::Alarm));
+            let is_reversed = style.add_modifier.contains(Modifier::REVERSED);
+            let style = if is_selected && !is_reversed { style.reversed() } else { style };
+            self.buffer.set_style(row, style);
         }
     }
 

@@ -106,6 +106,10 @@ fn completions(app: &App, x: u16, y: u16, canvas: &mut Canvas<'_>) {
     let words = app.completion().words;
     let mut x = if words.is_empty() { x } else { canvas.at(x, y, u16::MAX, "Tab: ", Ink::Dim) };
     for (at, word) in words.iter().enumerate() {
+        // A cut name would be another name.
+        if at > 0 && x.saturating_add(columns(word)) > canvas.area.width {
+            break;
+        }
         let end = canvas.at(x, y, u16::MAX, word, Ink::Dim);
         canvas.target(x, y, end - x, Hit::Completion(at));
         x = end + 2;

@@ -173,10 +173,16 @@ fn signs(theme: &Theme) -> Vec<Line> {
         line(two(signs.lane, signs.met), "a task; a rendezvous", Ink::Plain),
         line(signs.penalty.to_owned(), "rejected by rank; offered again, ranked higher", Ink::Plain),
         line(
-            format!("{}!{}", signs.way, signs.full),
-            "the bar while paused or replaying: here something went wrong; this is shown",
+            format!("{}{}", signs.way, signs.full),
+            "the bar while paused or replaying: its length; this place is shown",
             Ink::Plain,
         ),
+        line(
+            "!".to_owned(),
+            "on the bar: a node or task died, a link was cut, the model was violated",
+            Ink::Bad,
+        ),
+        line(":".to_owned(), "on the bar: a time-out or the like", Ink::Warn),
         line("==".to_owned(), "events were lost here", Ink::Warn),
     ]
 }

@@ -7,7 +7,7 @@ use crate::clock::{Moment, Span};
 use crate::drawn::Hit;
 use crate::store::Names;
 use crate::store::health::Place;
-use crate::store::message::{MessageKey, Passed, Stage, incarnation_of};
+use crate::store::message::{MessageKey, Passed, Stage, stages_of};
 use crate::store::queue::{Waiting, queue};
 use crate::store::timeline::own_clock;
 use crate::theme::Ink;
@@ -34,7 +34,7 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
         return;
     };
     let Some(names) = app.store().names(&cell).cloned() else { return };
-    let stages = incarnation_of(app.store(), &cell, key);
+    let stages = stages_of(app.store(), &cell, key);
     let whole_us = whole(app, &names, key, &stages);
     about(app, &names, key, whole_us, canvas);
     let rows = u16::try_from(stages.len()).unwrap_or(u16::MAX);
@@ -220,7 +220,11 @@ fn waiting(app: &App, names: &Names, key: MessageKey, now: Moment) -> Option<(St
     for incarnation in app.store().incarnations_of(&cell) {
         for task in incarnation.tasks().iter().map(|task| task.view.task) {
             let waiting = queue(incarnation, task, key.port, now);
-            let fits = |w: &&Waiting| w.entry.source == key.source && w.entry.id.sequence.get() == key.number;
+            let fits = |w: &&Waiting| {
+                let id = w.entry.id;
+                let is_its = key.incarnation.is_none_or(|incarnation| incarnation == id.incarnation);
+                is_its && w.entry.source == key.source && id.sequence.get() == key.number
+            };
             if let Some(found) = waiting.iter().find(fits) {
                 let left = found.left;
                 let back_off = match found.back_off_us {

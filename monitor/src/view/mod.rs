@@ -184,6 +184,16 @@ fn pieces(app: &App, width: u16, now: Moment) -> Vec<Piece> {
         while long(&pieces) > width && pieces.len() > at + 1 {
             pieces.pop();
         }
+        // A place in the past is more important than the name of the program and that of the screen.
+        if long(&pieces) > width {
+            pieces.remove(0);
+        }
+        if long(&pieces) > width
+            && let Some((text, ..)) = pieces.last_mut()
+            && let Some((digit, _)) = text.split_once(' ').and_then(|(_, tab)| tab.split_once(' '))
+        {
+            *text = format!(" {digit}]");
+        }
         return pieces;
     }
     let short = tabs(screen, &SHORTEST);

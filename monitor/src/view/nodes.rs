@@ -118,8 +118,14 @@ fn restarts(app: &App, incarnation: &NodeIncarnation) -> Option<(Option<String>,
     Some((deaths, whole))
 }
 
-/// The cells of the row that stands for the healthy nodes.
-pub(super) fn healthy(app: &App, nodes: &[IncarnationId], row: &Row, now: Moment, cells: &mut Cells) {
+/// The cells of the row that stands for the healthy nodes. Returns shorter texts of its state, with fewer names.
+pub(super) fn healthy(
+    app: &App,
+    nodes: &[IncarnationId],
+    row: &Row,
+    now: Moment,
+    cells: &mut Cells,
+) -> Vec<String> {
     let nodes: Vec<_> = nodes.iter().filter_map(|id| app.store().incarnation(*id)).collect();
     cells[0] = (format!("{} {} nodes", fold_sign(app, row), nodes.len()), Ink::Plain);
     let names: Vec<_> = nodes.iter().map(|incarnation| incarnation.node.shown()).collect();
@@ -129,6 +135,11 @@ pub(super) fn healthy(app: &App, nodes: &[IncarnationId], row: &Row, now: Moment
         sum.add(app, incarnation, incarnation.tasks(), now);
     }
     sum.show(cells);
+    let fewer = (1..names.len()).rev().map(|few| {
+        let (named, others) = names.split_at(few);
+        format!("up: {} +{}", named.join(", "), others.len())
+    });
+    fewer.chain(["up".to_owned()]).collect()
 }
 
 /// The least width of a sparkline, in columns.

@@ -49,6 +49,10 @@ pub(super) fn draw(
     let (columns, of) = columns((whole.width, inner.width), needs, &app.columns);
     let widths = canvas.part(inner).widths(&columns);
     titles(app, (&columns, &widths), &window.position(selected), &mut canvas.part(inner));
+    if rows.is_empty() && !app.filter().is_empty() {
+        let change = Some(Hit::Key(Action::Filter));
+        canvas.part(inner).facts(1, &[("No row fulfils this filter.", Ink::Dim, change)]);
+    }
     for (y, shown) in (1..).zip(&shown) {
         let (i, row, (cells, _)) = shown;
         let state = of.iter().position(|cell| *cell == 1).map(|at| (at, widths[at]));
@@ -65,8 +69,12 @@ pub(super) fn draw(
             nodes::sparklines(app, row, (x + taken, x + width), y, &mut inner);
         }
         let mut line = canvas.part(Rect { width, ..whole });
-        if *i == selected {
+        let is_selected = *i == selected;
+        if is_selected {
             line.cursor(y);
+        }
+        if cells[0].1 == Ink::Alarm {
+            line.alarm(y, is_selected);
         }
         line.target(0, y, width, Hit::Row(row.place));
     }
@@ -75,16 +83,20 @@ pub(super) fn draw(
 /// A row that is shown: its index, the row, its cells, and shorter texts of its state.
 type Shown<'a> = (usize, &'a Row, (Cells, Vec<String>));
 
+/// How many columns the state of the healthy nodes has at least beside other rows: enough for a name.
+const HEALTHY: u16 = 16;
+
 /// How many columns the cells on the screen need.
 fn needs(app: &App, shown: &[Shown<'_>]) -> Needs {
-    let mut needs = Needs::default();
+    let mut needs = Needs { state: canvas::columns("STATE"), ..Needs::default() };
     for (_, row, (cells, shorter)) in shown {
         let [name, state, queue] = [0, 1, 2].map(|cell: usize| canvas::columns(&cells[cell].0));
         needs.name = needs.name.max(name);
         needs.queue = needs.queue.max(queue);
         needs.health = needs.health.max(canvas::columns(&cells[HEALTH_CELL].0));
-        // The names of the healthy nodes are a list that may be cut.
+        // The row of the healthy nodes can name fewer of them. It takes more width only if it is alone.
         if row.place == Place::HEALTHY {
+            needs.state = needs.state.max(if shown.len() == 1 { state } else { state.min(HEALTHY) });
             continue;
         }
         needs.state = needs.state.max(state);
@@ -161,11 +173,11 @@ fn row_cells(
     (findings, blockers, healthy): Known<'_>,
     (screen, now): (u16, Moment),
 ) -> (Cells, Vec<String>) {
-    let (mut cells, shorter) = cells(app, row, findings, (screen, now));
+    let (mut cells, mut shorter) = cells(app, row, findings, (screen, now));
     if row.place == Place::HEALTHY {
-        nodes::healthy(app, healthy, row, now, &mut cells);
+        shorter = nodes::healthy(app, healthy, row, now, &mut cells);
     } else {
-        accuse(app, row, findings, blockers, screen, &mut cells);
+        accuse(app, row, findings, blockers, (screen, now), &mut cells);
     }
     (cells, shorter)
 }
@@ -236,7 +248,8 @@ fn cells(app: &App, row: &Row, findings: &[Finding], (screen, now): (u16, Moment
     (cells, shorter)
 }
 
-fn is_gone(app: &App, id: IncarnationId, now: Moment) -> bool {
+/// Whether the node of an incarnation has died or stopped.
+pub(super) fn is_gone(app: &App, id: IncarnationId, now: Moment) -> bool {
     app.store().incarnation(id).is_some_and(|incarnation| incarnation.presence(now).is_gone())
 }
 

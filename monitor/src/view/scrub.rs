@@ -6,7 +6,7 @@ use crate::app::App;
 use crate::clock::Moment;
 use crate::drawn::Hit;
 use crate::keys::Action;
-use crate::replay::Ribbon;
+use crate::replay::{Ribbon, Trouble};
 use crate::theme::Ink;
 use std::borrow::Cow;
 
@@ -18,13 +18,15 @@ const LEAST: u16 = 8;
 
 /// The data that the scrub bar draws, and the shown position on it.
 fn ribbon(app: &App, now: Moment) -> Option<(Cow<'_, Ribbon>, u64)> {
-    if let Some(player) = app.replay().or(app.gone_back()) {
+    if let Some(player) = app.replay() {
         let ribbon = Ribbon::of(player.film());
         let place = ribbon.place(player);
         return Some((Cow::Owned(ribbon), place));
     }
+    // Frames go on arriving during a pause, but the bar is that of the moment of the pause.
     let ribbon = app.ribbon()?;
-    Some((Cow::Borrowed(ribbon), ribbon.moment(now)))
+    let place = app.gone_back().map_or_else(|| ribbon.moment(now), |player| ribbon.place(player));
+    Some((Cow::Borrowed(ribbon), place))
 }
 
 /// How many rows the bar takes on a screen of this height.
@@ -56,8 +58,9 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let x = canvas.at(0, 0, u16::MAX, &at, Ink::Head);
     let start = canvas.at(x, 0, 1, "[", Ink::Dim);
     canvas.at(start, 0, bar, &signs.way.repeat(bar.into()), Ink::Dim);
-    for column in ribbon.odd(bar) {
-        canvas.at(start + column, 0, 1, "!", Ink::Warn);
+    for (column, trouble) in ribbon.troubles(bar) {
+        let (sign, ink) = if trouble == Trouble::Grave { ("!", Ink::Bad) } else { (":", Ink::Warn) };
+        canvas.at(start + column, 0, 1, sign, ink);
     }
     canvas.at(start + ribbon.column(place, bar), 0, 1, signs.full, Ink::Head);
     for column in 0..bar {

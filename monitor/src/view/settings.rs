@@ -1,6 +1,6 @@
 //! The window with the settings of the running monitor, over the screen from which it was opened.
 
-use super::canvas::Canvas;
+use super::canvas::{Canvas, columns};
 use crate::app::{App, Setting};
 use crate::drawn::Hit;
 use crate::keys::Action;
@@ -53,11 +53,17 @@ pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
     let room = usize::from(inner.height());
     let (window, selected) = inner.chosen(app.scroll, room, vec![None; lines]);
     for (y, (at, setting)) in (0..).zip(Setting::ALL.iter().enumerate().skip(window.first).take(room)) {
-        let (about, key) = setting.about();
+        let (long, short, key) = setting.about();
+        let file = if key.is_empty() { String::new() } else { format!("  ({key})") };
+        let room = inner.area.width.saturating_sub(VALUE + 1);
+        let (about, file) = match room.checked_sub(columns(long)) {
+            Some(rest) if rest >= columns(&file) => (long, file),
+            Some(_) => (long, String::new()),
+            None => (short, String::new()),
+        };
         let value = app.setting(*setting);
         let ink = if value == "off" { Ink::Dim } else { Ink::Head };
         inner.at(2, y, VALUE - 2, value, ink);
-        let file = if key.is_empty() { String::new() } else { format!("  ({key})") };
         let end = inner.at(VALUE + 1, y, u16::MAX, about, Ink::Plain);
         inner.at(end, y, u16::MAX, &file, Ink::Dim);
         inner.line_of(y, at, selected);

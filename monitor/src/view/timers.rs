@@ -171,7 +171,8 @@ fn entries(incarnation: &NodeIncarnation, trail: &Trail, now: Moment) -> Vec<Ent
         let delay = timer.id >= TimeId(128) || (delays && last_name);
         found.push(Entry {
             owner: timer.owner,
-            id: format!("t{}", timer.id.0),
+            // The number of a delay is the runtime's own; no cell names it.
+            id: if delay { "-".to_owned() } else { format!("t{}", timer.id.0) },
             kind: if delay { "delay" } else { "timer" },
             length_us: incarnation.longest_timer(timer.owner, timer.id),
             left: incarnation.left(timer.remaining, 0, now),

@@ -72,7 +72,7 @@ pub(super) fn measured(incarnation: &NodeIncarnation, now: Moment, found: &mut V
             Margin::Exceeded => {
                 let Delays { count, late, .. } = recent;
                 let text = format!(
-                    "link from {from}: {late} of {count} datagrams took longer than the declared {bound}"
+                    "link from {from} over its bound of {bound}: {late} of {count} datagrams took longer"
                 );
                 found.push(Finding::new(&codes::LINK_LATE, place, text));
             }
