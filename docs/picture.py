@@ -277,7 +277,7 @@ def dead(cell):
     cell.type("Escape")
     cell.type("Space")
     cell.type("{")
-    for _ in range(20):
+    for _ in range(60):
         cell.type("[")
     screen.save("monitor-paused.svg", "A pause, some steps before it: the bar shows where something went wrong, and the moment that is shown",
                 r"(?s)PAUSED -.*\[ \] step")

@@ -2,7 +2,7 @@
 
 use super::columns::{Cells, HEALTH_CELL};
 use super::mark;
-use super::overview::is_gone;
+use super::nodes;
 use crate::app::App;
 use crate::clock::Moment;
 use crate::rows::Row;
@@ -28,7 +28,7 @@ pub(super) fn accuse(
         cells[HEALTH_CELL].1 = Ink::Warn;
     }
     // The row of an open node leaves the alarm to the row of its task, unless the node itself is gone.
-    let is_gone = row.place.node.is_ok_and(|id| is_gone(app, id, now));
+    let is_gone = row.place.node.is_ok_and(|id| nodes::is_gone(app, id, now));
     let is_shown_within = |blocker: &Blocker| row.open && row.place != blocker.place && !is_gone;
     if let Some(blocker) =
         alarming.clone().find(|blocker| blocker.is_within(&row.place) && !is_shown_within(blocker))

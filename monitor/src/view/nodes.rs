@@ -178,3 +178,8 @@ pub(super) fn sparklines(app: &App, row: &Row, free: (u16, u16), y: u16, canvas:
     canvas.sparkline((free.1 - 2 * width - 1, y), width, &messages, None, ink);
     canvas.sparkline((free.1 - width, y), width, &slack, None, Ink::Dim);
 }
+
+/// Whether the node of an incarnation has died or stopped.
+pub(super) fn is_gone(app: &App, id: IncarnationId, now: Moment) -> bool {
+    app.store().incarnation(id).is_some_and(|incarnation| incarnation.presence(now).is_gone())
+}

@@ -242,15 +242,10 @@ fn cells(app: &App, row: &Row, findings: &[Finding], (screen, now): (u16, Moment
     let ended = row.place.node.is_ok_and(|id| {
         let earlier =
             app.store().incarnation(id).is_some_and(|incarnation| !app.store().is_present(incarnation));
-        earlier || row.depth > 0 && is_gone(app, id, now)
+        earlier || row.depth > 0 && nodes::is_gone(app, id, now)
     });
     cells[HEALTH_CELL] = if ended && ink == Ink::Good { ("-".to_owned(), Ink::Dim) } else { (health, ink) };
     (cells, shorter)
-}
-
-/// Whether the node of an incarnation has died or stopped.
-pub(super) fn is_gone(app: &App, id: IncarnationId, now: Moment) -> bool {
-    app.store().incarnation(id).is_some_and(|incarnation| incarnation.presence(now).is_gone())
 }
 
 fn task(
