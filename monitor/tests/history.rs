@@ -54,6 +54,16 @@ fn attached() -> [Arrival; 2] {
     [Arrival { at: ms(900), source: SourceId(0), feed }, arrival(ms(900), ServerFrame::Table(table()))]
 }
 
+/// A screen whose node is attached and has sent its first state.
+fn begun(theme: Theme) -> Stage {
+    let mut stage = Stage::new(theme);
+    attached().into_iter().for_each(|arrival| {
+        stage.feed(arrival.at, 0, arrival.feed);
+    });
+    stage.frame(period(0), 0, whole(0, 0));
+    stage
+}
+
 #[test]
 fn what_changed_is_shown_as_if_it_had_come_whole() {
     let (mut old, mut new) = (Store::default(), Store::default());
@@ -146,11 +156,7 @@ fn a_recording_that_begins_in_the_middle_begins_with_all_that_is() {
 
 #[test]
 fn while_paused_one_goes_back_in_the_present_run() {
-    let mut stage = Stage::new(Theme::MONO);
-    attached().into_iter().for_each(|arrival| {
-        stage.feed(arrival.at, 0, arrival.feed);
-    });
-    stage.frame(period(0), 0, whole(0, 0));
+    let mut stage = begun(Theme::MONO);
     (1..700).for_each(|n| {
         stage.frame(period(n), 0, change(0, n - 1, n));
         if n == 300 {
@@ -193,11 +199,7 @@ fn while_paused_one_goes_back_in_the_present_run() {
 /// A verdict of the validator belongs to no connection, but a player that moves back still shows it at its time.
 #[test]
 fn the_verdict_is_known_while_one_goes_back() {
-    let mut stage = Stage::new(Theme::MONO);
-    attached().into_iter().for_each(|arrival| {
-        stage.feed(arrival.at, 0, arrival.feed);
-    });
-    stage.frame(period(0), 0, whole(0, 0));
+    let mut stage = begun(Theme::MONO);
     for n in 1..100 {
         stage.frame(period(n), 0, change(0, n - 1, n));
         let verdict = match n {
@@ -283,11 +285,7 @@ fn bar(stage: &mut Stage, now: Duration) -> (usize, Vec<char>) {
 /// Frames go on arriving while the screen is paused. The bar ends at the pause all the same, also after a step back.
 #[test]
 fn the_bar_ends_at_the_pause() {
-    let mut stage = Stage::new(Theme::ASCII);
-    attached().into_iter().for_each(|arrival| {
-        stage.feed(arrival.at, 0, arrival.feed);
-    });
-    stage.frame(period(0), 0, whole(0, 0));
+    let mut stage = begun(Theme::ASCII);
     (1..50).for_each(|n| drop(stage.frame(period(n), 0, change(0, n - 1, n))));
     let pause = period(49);
     stage.draw(pause, 100, 24);
@@ -304,11 +302,7 @@ fn the_bar_ends_at_the_pause() {
 
 #[test]
 fn the_bar_shows_where_something_went_wrong_and_a_click_leads_there() {
-    let mut stage = Stage::new(Theme::ASCII);
-    attached().into_iter().for_each(|arrival| {
-        stage.feed(arrival.at, 0, arrival.feed);
-    });
-    stage.frame(period(0), 0, whole(0, 0));
+    let mut stage = begun(Theme::ASCII);
     for n in 1..100 {
         stage.frame(period(n), 0, change(0, n - 1, n));
         if n == 30 {

@@ -14,13 +14,8 @@ impl App {
         let Some(player) = &mut self.replay else { return };
         self.held = None;
         match action {
-            Action::StepBack => player.step_by(-1),
-            Action::StepOn => player.step_by(1),
-            Action::PreviousAnomaly => player.go_to_trouble(false),
-            Action::NextAnomaly => player.go_to_trouble(true),
-            Action::Oldest => player.go(0),
-            Action::Newest => player.go_to_end(),
-            _ => player.toggle(now),
+            Action::Pause => player.toggle(now),
+            action => go(player, action),
         }
     }
 
@@ -35,14 +30,7 @@ impl App {
 
     /// Moves in the history before the pause. At the end of the history, the moment of the pause is shown again.
     pub(super) fn go_back(&mut self, action: Action, now: Moment) {
-        self.move_back(now, |player| match action {
-            Action::StepBack => player.step_by(-1),
-            Action::StepOn => player.step_by(1),
-            Action::PreviousAnomaly => player.go_to_trouble(false),
-            Action::NextAnomaly => player.go_to_trouble(true),
-            Action::Oldest => player.go(0),
-            _ => player.go_to_end(),
-        });
+        self.move_back(now, |player| go(player, action));
     }
 
     /// Moves to a position of the scrub bar.
@@ -86,6 +74,18 @@ impl App {
             self.back = Back::default();
             self.history.reserve(self.live.weight());
         }
+    }
+}
+
+/// Moves a player as the action says. What is no other movement is one to the end.
+fn go(player: &mut Player, action: Action) {
+    match action {
+        Action::StepBack => player.step_by(-1),
+        Action::StepOn => player.step_by(1),
+        Action::PreviousAnomaly => player.go_to_trouble(false),
+        Action::NextAnomaly => player.go_to_trouble(true),
+        Action::Oldest => player.go(0),
+        _ => player.go_to_end(),
     }
 }
 

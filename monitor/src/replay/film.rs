@@ -192,7 +192,6 @@ impl Film {
     /// Adds a frame to this recording.
     fn add(&mut self, source: u16, at: u64, bytes: &[u8], shown: Shown, reading: &mut Reading) {
         let at = Duration::from_micros(at);
-        let trouble = reading.trouble(source, at, &shown);
         let opens = match &shown {
             Shown::Story(_) => false,
             Shown::Step(_) => true,
@@ -205,6 +204,7 @@ impl Film {
             self.story = Some(story);
             return;
         }
+        let trouble = reading.trouble(source, at, shown);
         self.stop(at, opens, trouble);
         if self.open.weight() + bytes.len() > REEL {
             self.close();
@@ -303,15 +303,15 @@ struct Reading {
 
 impl Reading {
     /// The trouble that the next frame shows. The steps of a counterexample say this themselves.
-    fn trouble(&mut self, source: u16, at: Moment, shown: &Shown) -> Trouble {
-        if let Shown::Step(step) = shown {
+    fn trouble(&mut self, source: u16, at: Moment, shown: Shown) -> Trouble {
+        if let Shown::Step(step) = &shown {
             return if step.odd { Trouble::Grave } else { Trouble::None };
         }
         if self.in_story {
             return Trouble::None;
         }
-        let trouble = self.troubles.of(shown, SourceId(source.into()), at, &self.store);
-        if let Some(arrival) = arrival(at, source, shown.clone()) {
+        let trouble = self.troubles.of(&shown, SourceId(source.into()), at, &self.store);
+        if let Some(arrival) = arrival(at, source, shown) {
             self.store.apply(arrival);
         }
         trouble

@@ -222,6 +222,11 @@ impl Player {
         self.go(usize::MAX);
     }
 
+    /// The gravest trouble between the previous stop and the present one.
+    pub(crate) fn trouble(&self) -> Trouble {
+        self.film.stops().get(self.stop).map_or(Trouble::None, |stop| stop.trouble)
+    }
+
     /// Moves to the next or previous stop with a grave trouble or, if there is none, with a slight one.
     pub fn go_to_trouble(&mut self, forward: bool) {
         let stops = self.film.stops();

@@ -66,7 +66,7 @@ pub(crate) fn position(player: &Player) -> Position<'_> {
         stops: film.stops().len(),
         at_us: crate::clock::micros(player.moment()),
         tick: step.map(|step| step.tick),
-        odd: film.stops().get(player.stop()).is_some_and(|stop| stop.trouble > Trouble::None),
+        odd: player.trouble() > Trouble::None,
         happened: step.map_or(&[], |step| &step.happened),
         tasks: tasks.map(|doing| Doing { task: doing.task.0, line: doing.line, does: &doing.text }).collect(),
         story,
@@ -81,8 +81,7 @@ pub(crate) fn text(player: &Player) -> String {
 
 /// The step that `player` shows, one fact per line: its events, and the activities of tasks and the queues after it.
 pub(crate) fn step(player: &Player) -> String {
-    let odd = player.film().stops().get(player.stop()).is_some_and(|stop| stop.trouble > Trouble::None);
-    let odd = if odd { "  !" } else { "" };
+    let odd = if player.trouble() > Trouble::None { "  !" } else { "" };
     format!("step {}{odd}\n{}{}", player.position(), happened(player), queues(player))
 }
 

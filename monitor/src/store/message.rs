@@ -73,17 +73,17 @@ fn alike(store: &Store, cell: &Name, key: MessageKey) -> Vec<(Mark, Option<Incar
     let is_alike =
         |seen: &Seen| key_of(seen).is_some_and(|of| MessageKey { incarnation: key.incarnation, ..of } == key);
     let marks = timeline_of(store, cell, KEPT, is_alike).marks;
-    let is_own = |mark: &&Mark| mark.task == key.source && !mark.in_transit;
+    let is_own = |mark: &Mark| mark.task == key.source && !mark.in_transit;
     // A mark at another task belongs to the last send before it. A mark before the first send belongs to the incarnation
     // before, if the monitor knows one.
-    let first = marks.iter().find(is_own).and_then(|mark| {
+    let first = marks.iter().find(|mark| is_own(mark)).and_then(|mark| {
         let first = store.incarnation(mark.incarnation)?;
         let others = store.incarnations_of(cell).filter(|other| other.node_id == first.node_id);
         let earlier = others.take_while(|other| other.number != first.number).last();
         Some(Incarnation(earlier.unwrap_or(first).number))
     });
     let sender = |sender: &mut Option<Incarnation>, mark: Mark| {
-        if is_own(&&mark) {
+        if is_own(&mark) {
             *sender = store.incarnation(mark.incarnation).map(|one| Incarnation(one.number));
         }
         Some((mark, *sender))

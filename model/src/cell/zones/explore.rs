@@ -18,7 +18,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 /// Searches a cell by zones. Every finding that it returns was found again on plain ticks. If one is not, and some zones were
-/// widened, that may be the reason; then the cell is searched once more without acceleration, and at last without hulls, too.
+/// widened, that may be the reason; then the cell is searched once more without acceleration or, if no zone was accelerated, without hulls.
 pub(in crate::cell) fn explore(
     plan: &Arc<CellPlan>,
     of: (Phase, usize),
@@ -27,24 +27,25 @@ pub(in crate::cell) fn explore(
 ) -> Done {
     let start = Instant::now();
     progress.started(of, plan.times);
-    let first = Widening::of(plan);
-    let without_acceleration = Widening { accelerates: false, ..first };
-    let search = |widening| explore_with(plan, widening, of, faults, (start, progress));
-    let (mut done, mut is_certain) = search(first);
-    if !is_certain && first.accelerates {
-        (done, is_certain) = search(without_acceleration);
+    let mut widening = Widening::of(plan);
+    loop {
+        let (done, again) = explore_with(plan, widening, of, faults, (start, progress));
+        match again {
+            Some(less) => widening = less,
+            None => return done,
+        }
     }
-    if is_certain { done } else { search(Widening::NONE).0 }
 }
 
-/// Searches with zones that may be widened. Also returns whether each finding was found again, or no zone was widened.
+/// Searches with zones that may be widened. Also returns how to search once more, if a finding was not found again and that may
+/// come from widened zones.
 fn explore_with(
     plan: &Arc<CellPlan>,
     widening: Widening,
     (phase, hypothesis): (Phase, usize),
     faults: &CellFaults,
     (start, progress): (Instant, &dyn SearchProgress),
-) -> (Done, bool) {
+) -> (Done, Option<Widening>) {
     let runners = (0..plan.jobs.max(1)).map(|_| Runner::new(plan, phase, faults)).collect();
     let mut search = Search::new(runners, widening);
     let mut ended_by = search.run(plan, (start, progress)).or_else(|| search.shortcoming());
@@ -61,7 +62,7 @@ fn explore_with(
             }
         }
     }
-    let is_certain = told.len() == hits.len() || search.store.widened == 0;
+    let again = if told.len() == hits.len() { None } else { search.store.less_widening() };
     if ended_by.is_none() {
         told.extend(standstill(plan, (phase, hypothesis), faults, &mut search));
     }
@@ -75,7 +76,7 @@ fn explore_with(
         times: Times::Zones,
         parts: 1,
         states: store.len() as u64,
-        inexact: inexact + store.widened,
+        inexact: inexact + store.accelerated + store.hulls,
         moves: runners.iter().map(|runner| runner.moves).sum(),
         depth,
         whole_depth: if open == 0 { depth } else { 0 },
@@ -93,7 +94,7 @@ fn explore_with(
         mattered.iter_mut().zip(&runner.mattered).for_each(|(all, one)| *all |= one);
     }
     let reached = runners.into_iter().map(|runner| runner.reached).reduce(Reached::join).unwrap_or_default();
-    (Done { coverage, findings, warnings, reached, mattered }, is_certain)
+    (Done { coverage, findings, warnings, reached, mattered }, again)
 }
 
 impl Search {

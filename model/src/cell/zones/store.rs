@@ -77,8 +77,9 @@ impl Widening {
 #[derive(Default)]
 pub struct Store {
     widening: Widening,
-    /// How many times zones were widened.
-    pub widened: u64,
+    /// How many times zones were accelerated. The next field says how many times zones became their hull.
+    pub accelerated: u64,
+    pub hulls: u64,
     /// The number of states whose times another state includes.
     passed: usize,
     pub states: Vec<State>,
@@ -98,6 +99,15 @@ impl Store {
     /// A store without states.
     pub fn new(widening: Widening) -> Self {
         Self { widening, ..Self::default() }
+    }
+
+    /// The next search that widens less than this one; `None` if this one widened no zone.
+    pub fn less_widening(&self) -> Option<Widening> {
+        match (self.accelerated, self.hulls) {
+            (0, 0) => None,
+            (0, _) => Some(Widening::NONE),
+            _ => Some(Widening { accelerates: false, ..self.widening }),
+        }
     }
 
     /// The state that now has the times of this state.
@@ -169,7 +179,7 @@ impl Store {
         }
         let is_like = |old: &&Known| old.left == left;
         if known.iter().filter(is_like).count() >= self.widening.most {
-            self.widened += 1;
+            self.hulls += 1;
             zone = known.iter().filter(is_like).fold(zone, |all, old| all.hull(&old.zone));
             let others = replace(known, states, (left, &zone), number);
             self.passed += others.len();
@@ -205,7 +215,7 @@ impl Store {
             if is_open && let Some(at) = known.iter().position(|known| known.state == Some(number)) {
                 let ahead = if self.widening.accelerates { ahead(known, at) } else { None };
                 if let Some((_, ahead)) = &ahead {
-                    self.widened += 1;
+                    self.accelerated += 1;
                     known[at].zone = ahead.clone();
                 }
                 let zone = known[at].zone.clone();

@@ -71,7 +71,7 @@ impl KeptZones {
 
 impl Dbm {
     /// The set of the points over `len` variables with these bounds. At least one point must have them.
-    fn with(len: usize, bounds: impl Iterator<Item = Bound>) -> Self {
+    pub(super) fn with(len: usize, bounds: impl Iterator<Item = Bound>) -> Self {
         let mut dbm = Self { len, bounds: Bounds::of(len, std::iter::empty()) };
         bounds.for_each(|(i, j, c)| dbm.constrain(i, j, c).expect("some point is left"));
         dbm
